@@ -47,8 +47,10 @@ _LAST = 0.15  # Length before the end of a path that is driven as it was planned
 _STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the rover [m].
 _TURNING = 0.27  # Radius about a rover that turns in place that holds it [m].
 _SLIDES, _MOST_SLIDE = 0.7, 0.35
-"""How far it slides downhill meanwhile over the slope and the turn [m/rad], and most of that which
-is made room for [m]: wheels that skid 0.2 m a radian hold with the friction that is left."""
+"""How far it slides downhill meanwhile over the slope and the turn [m/rad] at first, and most of
+that which is made room for [m]: wheels that skid 0.2 m a radian hold with the friction left."""
+_LEARNT, _SLOPE = 0.15, 0.04
+"""Least turn [rad] and slope that tell how far it slides."""
 _TURNS, _AWAY = 6, 0.3  # Other paths that a rover takes until it has come this far [m].
 _SLIDING = 0.32  # Radius about one that slides as it turns that holds it [m].
 _SLID = 0.05  # Slide of a turn in place that ends it where something is near [m].
@@ -158,6 +160,8 @@ class Navigator:
         self._goal: tuple[FloatArray, float | None] | None = None
         self._slips, self._waits, self._slides = 0, False, False
         self._anchor, self._turns = np.zeros(2), 0
+        self._sliding = _SLIDES
+        self._turning: tuple[FloatArray, float] | None = None  # Where it was in a turn in place.
         self._bumps: list[list[float]] = []
 
     @property
@@ -373,10 +377,26 @@ class Navigator:
         """
         return self._gap(self._slide(self.place, angle)) > _TURNING
 
+    def _downhill(self) -> FloatArray:
+        """Return the direction (2,) downhill where the rover is, as long as its slope."""
+        x, y, upright = self.odometry.pose().rotation.apply([0.0, 0.0, 1.0])
+        return np.array([x, y]) / upright
+
+    def _learn_slide(self) -> None:
+        """Learn from a turn in place how far the rover slides: it hangs on the friction there."""
+        before, self._turning = self._turning, (self.place, self.yaw)
+        if before is None:
+            return
+        turned = abs(math.remainder(self.yaw - before[1], 2.0 * math.pi))
+        slope = float(np.linalg.norm(self._downhill()))
+        if turned < _LEARNT or slope < _SLOPE:
+            return
+        rate = math.dist(self.place, before[0]) / (turned * slope)
+        self._sliding += 0.5 * (min(max(rate, _SLIDES / 2.0), 3.0 * _SLIDES) - self._sliding)
+
     def _slide(self, place: FloatArray, angle: float) -> FloatArray:
         """Return where a turn in place begins and ends (2, 2), on the slope where the rover is."""
-        x, y, upright = self.odometry.pose().rotation.apply([0.0, 0.0, 1.0])
-        downhill = _SLIDES * abs(angle) / upright * np.array([x, y])
+        downhill = self._sliding * abs(angle) * self._downhill()
         length = float(np.linalg.norm(downhill))
         return np.array([place, place + downhill * min(1.0, _MOST_SLIDE / max(length, 1e-9))])
 
@@ -521,8 +541,11 @@ class Navigator:
         here = self._start.inv() * self.odometry.level_pose()
         x, y, _ = here.translation
         self._drive.correct(float(x), float(y), float(here.rotation.as_euler("ZXY")[0]))
-        if self._drive.pivot is not None:
+        if self._drive.pivot is None:
+            self._turning = None
+        else:
             self._slides = self._slides_near(self._in_frame(self._drive.pivot[None]))
+            self._learn_slide()
         if self._goal is None or self._drive.remaining < _LAST:
             return
         place, heading = self._goal

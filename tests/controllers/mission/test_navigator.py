@@ -306,3 +306,25 @@ def test_a_turn_on_a_slope_needs_room_downhill():
         put_box(rover.navigator, 0.0, box)
         assert rover.navigator.may_turn(angle) == free
         assert rover.navigator.may_turn(-angle) == free
+
+
+@pytest.mark.parametrize(("slid", "free"), [(0.02, True), (0.15, False)])
+def test_what_a_turn_slides_on_smooth_ground_makes_the_next_one_need_more_room(slid, free):
+    """Nose up by 6 degrees; what is to be kept off stands 0.4 m behind."""
+    rover = Rolling(tilt=(0.1, 0.0))
+    put_box(rover.navigator, 5.0, 5.0)
+    rover.navigator.follow(np.zeros((1, 2)), 2.0)
+    odometry = rover.navigator.odometry
+    for part in range(4):
+        for _ in range(80):
+            rover.wheels = np.array(rover.navigator.step(rover.seen).wheels)
+            rover.seen = rover.tick()
+        if part:
+            moved = RigidTransform.from_translation([0.0, -slid * 0.25, 0.0])
+            odometry._pose = moved * odometry.pose()  # pyright: ignore
+            odometry._at = odometry._pasts[-1]  # pyright: ignore
+        rover.navigator.correct()
+    assert not rover.navigator.blocked
+    (x, y), yaw = rover.navigator.place, rover.navigator.yaw
+    put_box_on(rover.navigator, x + 0.45 * math.sin(yaw), y - 0.45 * math.cos(yaw), half=0.05)
+    assert rover.navigator.may_turn(1.3) == free
