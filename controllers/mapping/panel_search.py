@@ -14,7 +14,7 @@ import numba
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from perception.geometry.arrays import BoolArray, FloatArray
+from perception.geometry.arrays import BoolArray, FloatArray, IntArray
 
 _LINE = 0.05, 0.93  # Parts of a line of sight between which the ground may hide its end.
 _UNLIKELY = 0.02  # Odds of a place over those of the mean one below which it is not looked at.
@@ -44,8 +44,8 @@ class PanelSearchConfig:
         about: Distance within which those odds are summed [m].
         grain: Side of the squares in which places are counted [m].
         sighted: Odds that the target is where it was sighted.
-        sight_sigma: Standard deviations of its place [m] and of its face's direction [rad] then:
-            the tilt of the rover turns what it sees, and the places lie some centimetres apart.
+        sight_sigma: Deviations of its place [m] and of its face's direction [rad] from a possible
+            place within which a sighting is believed: the places lie some centimetres apart.
     """
 
     reach: tuple[float, float] = (0.45, 1.9)
@@ -122,14 +122,25 @@ def _hidden(heights, corner, cell, eye, points):
     return hidden
 
 
+class Cloud(NamedTuple):
+    """Possible places of the target.
+
+    Attributes:
+        places: (N, 3) middles of its face [m].
+        normals: (N, 2) unit vectors out of its face, on the ground.
+        frames: (N, 3) x, y [m] and yaw [rad] of the site's ground frame, if it is at each place.
+    """
+
+    places: FloatArray
+    normals: FloatArray
+    frames: FloatArray
+
+
 class PanelSearch:
-    """Cloud of the places where the target may be.
+    """Search for the target among the places where it may be.
 
     Args:
-        places: (N, 3) possible middles of the target's face [m].
-        normals: (N, 2) unit vectors out of its face, on the ground.
-        frames: (N, 3) x, y [m] and yaw [rad] of the site's ground frame, if the target is at each
-            place.
+        cloud: Possible places of the target.
         config: When it is seen, and what a view costs; None for the default.
 
     Attributes:
@@ -141,16 +152,11 @@ class PanelSearch:
             and radius [m], in its ground frame.
     """
 
-    def __init__(
-        self,
-        places: FloatArray,
-        normals: FloatArray,
-        frames: FloatArray,
-        config: PanelSearchConfig | None = None,
-    ) -> None:
-        self.places, self._normals, self._frames = places, normals, frames
+    def __init__(self, cloud: Cloud, config: PanelSearchConfig | None = None) -> None:
+        self.places, self._normals, self._frames = (part.copy() for part in cloud)
+        self._seen: IntArray | None = None  # Indices of the places of the latest sighting.
         self._config = config or PanelSearchConfig()
-        self.weights = np.full(len(places), 1.0 / len(places))
+        self.weights = np.full(len(self.places), 1.0 / len(self.places))
         self.views = 0
         self.near = True
         self.hiding = np.zeros((0, 3))
@@ -246,21 +252,30 @@ class PanelSearch:
         places = self.places[likely & self._visible(eye, self._config.sight)]
         return places[~ground.hidden(eye, places)]
 
-    def sight(self, place: FloatArray, normal: FloatArray) -> None:
+    def sight(self, seen: Cloud) -> None:
         """Take note of where a view shows the target, too far away to localize the rover by it.
 
+        What was less likely before gives way to where it is seen; so do places of sightings before.
+
         Args:
-            place: (3,) middle of its face [m].
-            normal: (2,) unit vector out of its face, on the ground.
+            seen: Possible places by what the view tells, fewer than those before.
         """
         c, (far, turn) = self._config, self._config.sight_sigma
+        place, normal = seen.places.mean(axis=0), seen.normals.mean(axis=0)
         away = np.linalg.norm(self.places[:, :2] - place[:2], axis=1)
-        turned = np.arccos(np.clip(self._normals @ normal, -1.0, 1.0))
+        turned = np.arccos(np.clip(self._normals @ normal / np.linalg.norm(normal), -1.0, 1.0))
         likely = self.weights * np.exp(-0.5 * ((away / far) ** 2 + (turned / turn) ** 2))
         if likely.sum() < _LEAST:
             return  # Nothing may stand there.
-        self.weights = c.sighted * likely / likely.sum() + (1.0 - c.sighted) * self.weights
-        self._spot = place[:2].copy()
+        if self._seen is None:
+            self._seen = np.argsort(self.weights, kind="stable")[: len(seen.places)]
+        self.places[self._seen], self._normals[self._seen] = seen.places, seen.normals
+        self._frames[self._seen] = seen.frames
+        self.weights[self._seen] = 0.0
+        self.weights *= (1.0 - c.sighted) / max(self.weights.sum(), _LEAST)
+        self.weights[self._seen] = c.sighted / len(self._seen)
+        self.weights /= self.weights.sum()
+        self._spot = place[:2]
         self._found = None
 
     def best(

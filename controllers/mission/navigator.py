@@ -43,6 +43,7 @@ from twin.robot import Command, Observation
 _SLIPPED, _SLIPS = 0.8, 3
 """Slip from which on a rover hardly moves, and successive pairs that must show it."""
 _BUMP = 0.1  # Radius of a disc about what held a rover [m].
+_BUMPS = 3  # Bumps that are kept off: what held a rover may be smooth ground uphill.
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
 _STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the rover [m].
 _TURNING = 0.27  # Radius about a rover that turns in place that holds it [m].
@@ -496,7 +497,7 @@ class Navigator:
         pose = self.odometry.level_pose()
         if held:
             ahead = np.asarray(pose.apply([0.0, self._config.paths.radius + 0.1, 0.0]))[:2]
-            self._bumps.append([*ahead, _BUMP])
+            self._bumps = [*self._bumps[1 - _BUMPS :], [*ahead, _BUMP]]
         self.halt()
         paths = [_moved(pose, np.array([0.0, way])) for way in _WAYS]
         discs = self._kept_off()

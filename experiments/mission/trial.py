@@ -42,7 +42,7 @@ from twin.loop import LoopRecorder, Tick, run
 from twin.realism import RealismName, make_robots, realism_of
 from twin.robot import RobotError
 
-LIMIT = 1200.0
+LIMIT = 1500.0
 """Longest mission [s]."""
 RATE = 4.0
 """Pairs of images a second."""

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import camera_arm
 from controllers.mapping.localization import CameraPose, RobotLocalization
-from controllers.mapping.panel_search import PanelSearch, Viewpoint
+from controllers.mapping.panel_search import Cloud, PanelSearch, Viewpoint
 from controllers.mapping.searching import aim
 from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.behaviours import (
@@ -33,8 +33,9 @@ from perception.geometry.arrays import FloatArray
 from twin.robot import Command, Observation
 
 _PLACES = 2000  # Possible places of the panel.
+_SEEN_PLACES = 200  # Those of a panel that was sighted.
 _VIEWPOINTS = 60  # Viewpoints that are compared for each decision.
-_PATIENCE = 700.0  # Longest search [s].
+_PATIENCE = 900.0  # Longest search [s].
 _ATTITUDE = 0.012  # Standard deviation of an attitude that is known well [rad].
 _PARTNER = 0.25  # Radius of the other rover, which hides what is behind it [m].
 _WORTH = 2e-3  # Rate below which a rover that gives way takes no view from where it is [1/s].
@@ -204,10 +205,20 @@ class SearchPanel:
         sighted = self._belief.map.sight(pair, _FAR_SIGMA, local)
         if sighted is None:
             return None
-        panel = camera * sighted.transform_camera_to_world.inv()
-        normal = panel.rotation.apply([0.0, 0.0, 1.0])[:2]
-        self.search.sight(np.asarray(panel.translation), normal / np.linalg.norm(normal))
+        self.search.sight(self._seen_places(camera, sighted))
         return sighted
+
+    def _seen_places(self, camera: RigidTransform, sighted: CameraPose) -> Cloud:
+        """Return where the panel may be by a view of it from far.
+
+        Args:
+            camera: Pose of the camera in the frame, by odometry.
+            sighted: Pose of the camera in the panel's frame, by the view.
+        """
+        xi = self._rng.multivariate_normal(np.zeros(6), sighted.covariance, _SEEN_PLACES)
+        views = RigidTransform.from_exp_coords(xi) * sighted.transform_camera_to_world
+        panel_to_ground = self._belief.site.transform_panel_to_ground
+        return self._cloud(camera * views.inv() * panel_to_ground.inv())
 
     def _localized(self, seen: Observation, sighted: CameraPose) -> RobotLocalization:
         """Return the localization of the rover by a view from far."""
@@ -221,22 +232,26 @@ class SearchPanel:
         site, odometry = self._belief.site, self._navigator.odometry
         panel = site.transform_panel_to_ground
         robots = site.draw_initial_poses(self._belief.robot.name, _PLACES, self._rng)
-        face = panel.rotation.apply([0.0, 0.0, 1.0])
-        self._height = float(panel.translation[2])
         began = RigidTransform.from_components(
             np.column_stack([robots[:, :2], np.full(_PLACES, self._belief.robot.centre_height)]),
             Rotation.from_euler("z", robots[:, 2:]),
         )
-        moved = odometry.pose() * began.inv()  # From the ground frame, one for each initial pose.
+        self._height = float(panel.translation[2])
+        return PanelSearch(self._cloud(odometry.pose() * began.inv()))
+
+    def _cloud(self, ground_to_frame: RigidTransform) -> Cloud:
+        """Return the places of the panel for possible transforms (N,) from the ground frame."""
+        panel = self._belief.site.transform_panel_to_ground
+        face = panel.rotation.apply([0.0, 0.0, 1.0])
         places, tips, origins, ahead = (
-            np.asarray(moved.apply(point))
+            np.asarray(ground_to_frame.apply(point))
             for point in (panel.translation, panel.translation + face, np.zeros(3), [1.0, 0.0, 0.0])
         )
         normals = (tips - places)[:, :2]
         normals /= np.linalg.norm(normals, axis=1)[:, None]
         along = ahead - origins
         yaws = np.arctan2(along[:, 1], along[:, 0])
-        return PanelSearch(places, normals, np.column_stack([origins[:, :2], yaws]))
+        return Cloud(places, normals, np.column_stack([origins[:, :2], yaws]))
 
     def _settle(self, search: PanelSearch) -> None:
         """Set the possible places on the slope that the map shows."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.mapping.panel_search import Ground, PanelSearch, PanelSearchConfig
+from controllers.mapping.panel_search import Cloud, Ground, PanelSearch, PanelSearchConfig
 
 CONFIG = PanelSearchConfig()
 EMPTY = Ground(np.full((100, 100), np.nan), np.array([-2.5, -2.5]), 0.05)
@@ -21,10 +21,14 @@ def camera(place, target):
     return RigidTransform.from_components(place, Rotation.from_matrix(axes))
 
 
-def search_of(*places, normal=(-1.0, 0.0)):
+def cloud_of(*places, normal=(-1.0, 0.0)):
     spots = np.array(places, dtype=float)
     frames = np.column_stack([spots[:, :2], np.full(len(spots), 0.5 * math.pi)])
-    return PanelSearch(spots, np.tile(normal, (len(places), 1)), frames)
+    return Cloud(spots, np.tile(np.array(normal, dtype=float), (len(places), 1)), frames)
+
+
+def search_of(*places, normal=(-1.0, 0.0)):
+    return PanelSearch(cloud_of(*places, normal=normal))
 
 
 def test_a_miss_makes_only_places_unlikely_that_it_should_have_shown():
@@ -120,16 +124,22 @@ def test_what_likely_stands_somewhere_is_kept_off():
 
 def test_a_sighting_draws_the_odds_to_where_it_was_until_near_views_miss_it():
     spots = [[1.0, 0.0, 0.2], [1.2, 0.1, 0.2], [-2.0, 0.0, 0.2], [-2.0, 2.0, 0.2]]
-    search, toward = search_of(*spots), np.array([-1.0, 0.0])
-    search.sight(np.array([5.0, 5.0, 0.3]), toward)  # Nothing may stand there.
+    search = search_of(*spots)
+    search.sight(cloud_of([5.0, 5.0, 0.3]))  # Nothing may stand there.
     np.testing.assert_allclose(search.weights, 0.25)
-    search.sight(np.array([1.1, 0.05, 0.3]), -toward)  # Its face looks the other way there.
+    there = [1.1, 0.05, 0.3]
+    search.sight(cloud_of(there, normal=(1.0, 0.0)))  # Its face looks the other way there.
     np.testing.assert_allclose(search.weights, 0.25)
     assert not search.sighted
-    search.sight(np.array([1.1, 0.05, 0.3]), toward)
-    half, rest = CONFIG.sighted / 2.0, (1.0 - CONFIG.sighted) / 4.0
-    np.testing.assert_allclose(search.weights, [half + rest, half + rest, rest, rest])
-    assert search.sighted
+    search.miss(camera([-3.2, 2.0, 0.4], [-2.0, 2.0, 0.2]), EMPTY)
+    for sighting in ([1.1, 0.05, 0.3], [1.14, 0.0, 0.3]):
+        search.sight(cloud_of(sighting))
+        assert search.sighted
+        # It takes the place of the least likely one, and the next one takes its place.
+        seen = np.flatnonzero(np.isclose(search.places, sighting).all(axis=1))
+        assert len(seen) == 1 and search.weights[seen[0]] == pytest.approx(CONFIG.sighted)
+        assert search.weights.sum() == pytest.approx(1.0)
+        assert all(np.any(np.isclose(search.places, spot).all(axis=1)) for spot in spots[:3])
     view = search.best(np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY)
     for _ in range(4):
         search.miss(camera([0.0, 0.0, 0.4], view.target), EMPTY, view)
@@ -141,7 +151,7 @@ def test_what_was_sighted_far_away_is_to_be_seen_from_near():
     search = search_of([far, 0.0, 0.2])
     here = np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY
     assert search.best(*here).rate > 0.0
-    search.sight(np.array([far, 0.0, 0.2]), np.array([-1.0, 0.0]))
+    search.sight(cloud_of([far, 0.0, 0.2]))
     assert search.best(*here).rate == 0.0
     places = search.draw_places(50, np.random.default_rng(0))
     assert np.linalg.norm(places - [far, 0.0], axis=1).max() < CONFIG.reach[1]

@@ -1,9 +1,11 @@
 """Stage ``search``: where the panel may be before anything is seen."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mapping.localization import CameraPose
+from controllers.mapping.panel_search import Cloud
 from controllers.mission.radio import MissionRadio, Status
 from controllers.mission.stages.search import SearchPanel, _tells_attitude  # pyright: ignore
 from tests.controllers.mission.hand_made import SITE, SLAVE, belief_of, hand_links
@@ -57,7 +59,8 @@ def test_of_two_rovers_near_the_panel_one_gives_way_while_it_hears_that_the_othe
         radio.begin_tick(0.0 if heard else 10.0)
         radio.partner = Status(1, near=True, sighted=sighted[1])
         if sighted[0]:
-            stage.search.sight(stage.search.places[0], stage.search._normals[0])
+            search = stage.search
+            search.sight(Cloud(search.places[:1], search._normals[:1], search._frames[:1]))
         assert stage._gives_way() == waits
         assert radio.near == near and radio.sighted == sighted[0]
 
@@ -68,3 +71,25 @@ def test_a_far_view_tells_the_attitude_where_its_worst_axis_does():
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = axes @ np.diag(np.square([0.001, worst, 0.002])) @ axes.T
         assert _tells_attitude(CameraPose(RigidTransform.identity(), covariance)) == tells
+
+
+def test_places_of_a_panel_seen_from_far_scatter_as_its_pose_does():
+    """The camera looks along the frame's y from (0, 0, 0.5) at a panel 3 m ahead that faces it."""
+    belief = belief_of(SLAVE)
+    stage = SearchPanel(belief, radio_of(), True, np.random.default_rng(3))
+    camera = RigidTransform.from_components([0.0, 0.0, 0.5], Rotation.from_euler("x", -0.5 * np.pi))
+    panel = RigidTransform.from_components(
+        [0.2, 3.0, 0.3], Rotation.from_matrix([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+    )
+    sigma = np.array([0.02, 0.03, 0.01, 0.01, 0.02, 0.04])
+    seen = stage._seen_places(camera, CameraPose(panel.inv() * camera, np.diag(sigma**2)))
+    np.testing.assert_allclose(seen.places.mean(axis=0), panel.translation, atol=0.02)
+    np.testing.assert_allclose(seen.normals.mean(axis=0), [0.0, -1.0], atol=0.01)
+    # A twist in the panel's frame turns about its middle, which only shifts move.
+    np.testing.assert_allclose(seen.places.std(axis=0), sigma[[3, 5, 4]], rtol=0.2)
+    assert np.arctan2(seen.normals[:, 0], -seen.normals[:, 1]).std() == pytest.approx(0.03, rel=0.2)
+    # The ground frame lies where the drawing has it from the panel.
+    to_ground = SITE.transform_panel_to_ground.inv()
+    origins = seen.frames[:, :2] - seen.places[:, :2]
+    expected = panel.rotation.apply(to_ground.apply([0.0, 0.0, 0.0]))[:2]
+    np.testing.assert_allclose(origins.mean(axis=0), expected, atol=0.02)
