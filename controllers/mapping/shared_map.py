@@ -28,6 +28,8 @@ from perception.voxels.map import VoxelMap
 from perception.voxels.occupancy import State
 
 _KNOWN = 1e-10  # Variance of a marker's position in the CAD [m^2].
+_FAINT = np.full(3, 0.1)
+"""Standard deviations of column, row and disparity of a marker that is small or dim [px]."""
 _BESIDE = 0.15  # Width beside the markers of a target that is searched, too [m].
 _MISFIT = 6.0  # Squared normalised residuals per degree of freedom of markers that do not fit.
 
@@ -120,22 +122,22 @@ class SharedMap:
         )
         return localize(arm, angles, tilt, in_world, config)
 
-    def sight(
-        self, pair: ImageArray, sigma: ArrayLike, places: FloatArray | None = None
-    ) -> CameraPose | None:
-        """Return the camera's pose in the frame of a target that may be far away; None if unseen.
+    def sight(self, pair: ImageArray, places: FloatArray | None = None) -> CameraPose | None:
+        """Return the camera's pose in the frame of a target that is far away or in the shade.
 
         Args:
             pair: (2, H, W) uint8 left and right image.
-            sigma: (3,) standard deviations of a small marker's column, row and disparity [px].
             places: (N, 3) where the target's middle may be [m], left camera frame: no other part of
                 the images is searched, which takes time. None for anywhere.
+
+        Returns:
+            The pose; None where the target is not seen.
         """
         window = None if places is None else self._window(places)
         if places is not None and window is None:
             return None
-        target = find_target(pair, self.geometry, self.cad, sigma, far=True, window=window)
-        return None if target is None else self.camera_at(target, np.asarray(sigma, dtype=float))
+        target = find_target(pair, self.geometry, self.cad, _FAINT, far=True, window=window)
+        return None if target is None else self.camera_at(target, _FAINT)
 
     def _window(self, places: FloatArray) -> tuple[slice, slice] | None:
         """Return the rows and columns that show targets at places (N, 3); None for none of them."""

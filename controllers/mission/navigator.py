@@ -35,7 +35,7 @@ from perception.elevation.alignment import aligned
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
-from perception.geometry.arrays import BoolArray, FloatArray
+from perception.geometry.arrays import BoolArray, FloatArray, ImageArray
 from perception.stereo.matching import StereoMatcher, StereoMatcherConfig
 from twin.description import RobotDescription
 from twin.robot import Command, Observation
@@ -238,9 +238,23 @@ class Navigator:
         found = self._panel.locate(
             self._arm, angles, tilt, pair, views.marker_sigma, views.localization
         )
+        if found is None and self.localized:
+            found = self._in_shade(pair, camera, angles, tilt)
         if not at_rest:
             self._panel.transform_target_to_world = None  # On the way the tilt is not known well.
         return found
+
+    def _in_shade(
+        self, pair: ImageArray, camera: RigidTransform, angles: FloatArray, tilt: FloatArray
+    ) -> RobotLocalization | None:
+        """Return the localization by a panel whose markers are dim, where it is expected."""
+        to_world = self._panel.transform_target_to_world
+        assert to_world is not None
+        place = camera.apply(to_world.translation, inverse=True)
+        seen = self._panel.sight(pair, np.atleast_2d(place))
+        if seen is None:
+            return None
+        return self._panel.localized(self._arm, angles, tilt, seen, self._views.localization)
 
     def localize(self, found: RobotLocalization) -> None:
         """Take over a localization by the panel; the map moves into the panel's frame.

@@ -12,7 +12,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import camera_arm
 from controllers.mapping.localization import CameraPose, RobotLocalization
-from controllers.mapping.panel_search import Cloud, PanelSearch, Viewpoint
+from controllers.mapping.panel_search import (
+    Cloud,
+    PanelSearch,
+    PanelSearchConfig,
+    Viewpoint,
+)
 from controllers.mapping.searching import aim
 from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.behaviours import (
@@ -45,8 +50,6 @@ _NEAR = 3.0  # Distance from the panel within which both rovers do not drive at 
 _APART = (0.5, 0.4)
 """Distance [m] and turn [rad] after which a pair on the way is searched for a panel far away:
 that takes 0.1 s."""
-_FAR_SIGMA = (0.1, 0.1, 0.1)
-"""Standard deviations of a small marker's column, row and disparity [px]."""
 _PLANE_CELLS = 400  # Mapped cells from which on they tell the slope of the field.
 
 
@@ -138,7 +141,7 @@ class SearchPanel:
             found = navigator.take(seen, at_rest=True)
             known = search.sighted
             sighted = None if found is not None else self._sight(seen)
-            if sighted is not None and not self._first and _tells_attitude(sighted):
+            if sighted is not None and self._is_enough(sighted):
                 found = self._localized(seen, sighted)
             if found is not None:
                 self._belief.localize(found)
@@ -147,6 +150,13 @@ class SearchPanel:
                 self._miss(seen, view)
             search.near |= sighted is not None
         raise StageError(self.name, f"the panel was not found in {_PATIENCE:.0f} s")
+
+    def _is_enough(self, sighted: CameraPose) -> bool:
+        """Return whether a sighting localizes the rover: for the first one, from near alone."""
+        if not self._first:
+            return _tells_attitude(sighted)
+        away = np.linalg.norm(sighted.transform_camera_to_world.translation)
+        return bool(away < PanelSearchConfig().reach[1])
 
     def _gives_way(self) -> bool:
         """Return whether both rovers are near the panel, and the other one drives.
@@ -202,7 +212,7 @@ class SearchPanel:
         places = self.search.in_sight(np.asarray(camera.translation), navigator.sight_lines())
         local = np.asarray(camera.apply(places, inverse=True)).reshape(-1, 3)
         pair = np.asarray(seen.stereo.value, dtype=np.uint8)
-        sighted = self._belief.map.sight(pair, _FAR_SIGMA, local)
+        sighted = self._belief.map.sight(pair, local)
         if sighted is None:
             return None
         self.search.sight(self._seen_places(camera, sighted))

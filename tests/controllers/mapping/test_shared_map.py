@@ -24,7 +24,7 @@ def empty_map() -> SharedMap:
 @pytest.mark.parametrize("place", [(2.6, 0.6, 0.0), (3.4, -0.7, 0.2)])
 def test_the_camera_of_a_far_view_is_within_its_covariance(place: tuple, seed: int) -> None:
     target = at(*place)
-    camera = empty_map().sight(pair(target, seed), FAR_SIGMA)
+    camera = empty_map().sight(pair(target, seed))
     assert camera is not None
     off = target.inv() * camera.transform_camera_to_world.inv()
     xi = np.asarray(off.inv().as_exp_coords())
@@ -36,22 +36,33 @@ def test_the_camera_of_a_far_view_is_within_its_covariance(place: tuple, seed: i
 
 
 def test_a_view_without_the_target_sights_nothing() -> None:
-    assert empty_map().sight(np.full((2, 492, 510), 90, np.uint8), FAR_SIGMA) is None
+    assert empty_map().sight(np.full((2, 492, 510), 90, np.uint8)) is None
 
 
 def test_only_where_the_target_may_be_is_searched() -> None:
     target = at(2.6, 0.6, 0.0)
     images, middle = pair(target, 0), np.asarray(target.translation)
-    whole = empty_map().sight(images, FAR_SIGMA)
+    whole = empty_map().sight(images)
     about = middle + np.random.default_rng(0).normal(0.0, 0.1, (20, 3))
-    found = empty_map().sight(images, FAR_SIGMA, about)
+    found = empty_map().sight(images, about)
     assert whole is not None and found is not None
     off = whole.transform_camera_to_world.inv() * found.transform_camera_to_world
     np.testing.assert_allclose(off.as_exp_coords(), 0.0, atol=1e-9)
     elsewhere = middle * [-1.0, 1.0, 1.0] - [0.8, 0.0, 0.0]
     behind = -middle
     for places in (elsewhere[None], behind[None], np.zeros((0, 3))):
-        assert empty_map().sight(images, FAR_SIGMA, places) is None
+        assert empty_map().sight(images, places) is None
+
+
+def test_a_target_in_the_shade_is_sighted_though_not_located() -> None:
+    arm, _ = camera_arm(describe_rover("rover1"))
+    tilt, config, target = np.zeros(2), LocalizationConfig(), at(1.3, 0.6, 0.0)
+    dim = (0.22 * pair(target, 0) + 30.0).astype(np.uint8)
+    assert empty_map().locate(arm, DRIVING, tilt, dim, FAR_SIGMA, config) is None
+    camera = empty_map().sight(dim, np.asarray(target.translation)[None])
+    assert camera is not None
+    off = target * camera.transform_camera_to_world
+    assert np.linalg.norm(off.translation) < 0.03 and off.rotation.magnitude() < 0.03
 
 
 def test_a_far_view_defines_the_world_as_a_near_one_does() -> None:
@@ -60,7 +71,7 @@ def test_a_far_view_defines_the_world_as_a_near_one_does() -> None:
     near, far = empty_map(), empty_map()
     images = pair(at(1.3, 0.6, 0.0))
     found = near.locate(arm, DRIVING, tilt, images, FAR_SIGMA, config)
-    camera = far.sight(images, FAR_SIGMA)
+    camera = far.sight(images)
     assert found is not None and camera is not None
     other = far.localized(arm, DRIVING, tilt, camera, config)
     apart = other.transform_level_to_world.inv() * found.transform_level_to_world

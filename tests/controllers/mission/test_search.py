@@ -93,3 +93,16 @@ def test_places_of_a_panel_seen_from_far_scatter_as_its_pose_does():
     origins = seen.frames[:, :2] - seen.places[:, :2]
     expected = panel.rotation.apply(to_ground.apply([0.0, 0.0, 0.0]))[:2]
     np.testing.assert_allclose(origins.mean(axis=0), expected, atol=0.02)
+
+
+def test_a_sighting_localizes_the_first_rover_from_near_and_the_other_by_its_attitude():
+    for first, distance, turn, enough in (
+        (True, 1.8, 0.05, True),
+        (True, 2.0, 0.005, False),
+        (False, 1.8, 0.05, False),
+        (False, 2.0, 0.005, True),
+    ):
+        stage = SearchPanel(belief_of(SLAVE), radio_of(), first, np.random.default_rng(3))
+        away = RigidTransform.from_translation([0.0, 0.0, distance])
+        covariance = np.diag([turn**2] * 3 + [1e-6] * 3)
+        assert stage._is_enough(CameraPose(away, covariance)) == enough

@@ -158,7 +158,7 @@ def test_the_rovers_have_their_parts_of_all_stages_in_order(
     ):  # fmt: skip
         monkeypatch.setattr(team, kind, stand_in(name))
     station = type("Station", (), {"place": (1.0, 0.0, 0.0)})()
-    monkeypatch.setattr(team, "_station", lambda belief, occluders: station)
+    monkeypatch.setattr(team, "best_station", lambda belief, occluders: station)
     links = dict(zip((MASTER, SLAVE), hand_links(), strict=True))
     roles = MissionRoles(ROVERS[MASTER], ROVERS[SLAVE])
     both = MissionTeam(roles, SITE, MissionConfig(), np.random.default_rng(0), links)
