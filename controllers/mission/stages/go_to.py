@@ -38,6 +38,7 @@ _STRETCHES = (-0.4, -0.3, 0.4, 0.3)
 of it, from where the rover drives back; the first one with room is taken."""
 _NEAR, _ALONG = 0.3, 0.6  # Distance [m] and heading [rad] of a rover that need only back off.
 _ANY_WAY = 0.8  # Tolerance of a heading from which on the rover arrives as its path leads it [rad].
+_INNER = 0.2  # How far within its tolerance a heading is that the rover turns to [rad].
 _VIEWS = 8  # Views in which the panel is searched for at the place.
 
 
@@ -145,16 +146,18 @@ class GoToPlace:
         return None
 
     def _as_led(self) -> tuple[FloatArray, float | None]:
-        """Return place (2,) [m], and heading [rad] unless the path ends in about that."""
+        """Return place (2,) [m], and heading [rad] unless the path ends in one that will do."""
         place, heading = self._goal()
         path = self._navigator.path_to(place)
         if path is None:
             return place, None
         away = path[-1] - path[-2]
         led = course_along(away) if np.linalg.norm(away) > self._near[0] else self._navigator.yaw
-        if abs(math.remainder(led - heading, 2.0 * math.pi)) > self._near[1]:
-            return place, heading
-        return self._arm_base(place, heading) - self._arm_base(np.zeros(2), led), None
+        off = math.remainder(led - heading, 2.0 * math.pi)
+        most = self._near[1] - _INNER
+        turned = led if abs(off) < self._near[1] else heading + math.copysign(most, off)
+        place = self._arm_base(place, heading) - self._arm_base(np.zeros(2), turned)
+        return place, None if turned == led else turned
 
     def _drive(self, seen: Observation, place: FloatArray, heading: float | None) -> Behaviour:
         """Drive to a place (2,) [m] and heading [rad] of the frame along planned paths."""
