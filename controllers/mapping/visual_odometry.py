@@ -7,6 +7,7 @@ the inclinometer keeps the frame level. All errors are carried in one covariance
 
 import collections
 import dataclasses
+import itertools
 import math
 from typing import NamedTuple
 
@@ -26,6 +27,9 @@ from perception.stereo.matching import StereoPoints
 from twin.robot import Observation
 
 _KEPT = 8.0  # Time for which past poses are kept [s]: pairs and the boards' answers are older.
+_OTHER_TURNS = (0.0, 0.2, -0.2, 0.4, -0.4)
+"""Turns beside those of the wheels that are tried in their order [rad]: on smooth slopes a rover
+turns by other angles than its wheels tell."""
 _VIEWS, _TRIED = 10, 2  # Views that are kept, and of these the nearest that are tried.
 _OTHER_POSTURE = 0.02  # Change of a joint from which on its errors count [rad].
 _STANDING = 2e-5  # Motion of rolling wheels in a tick below which the rover stands [m, rad].
@@ -223,10 +227,12 @@ class VisualOdometry:
         tool = self._arm.tool_in_robot(past.angles)
         features = self._matcher.find(image, points)
         camera = pose * tool
-        for view in sorted(self._views, key=lambda view: view.away(camera))[:_TRIED]:
+        nearest = sorted(self._views, key=lambda view: view.away(camera))[:_TRIED]
+        for turn, view in itertools.product(_OTHER_TURNS, nearest):
             begin = view.transform_camera_to_frame
+            guess = begin.inv() * (_turned(pose, turn) * tool)
             try:
-                motion = self._matcher.motion(view.features, features, begin.inv() * camera)
+                motion = self._matcher.motion(view.features, features, guess)
             except RegistrationError:
                 continue
             moved = motion.transform_after_to_before
@@ -355,6 +361,12 @@ class VisualOdometry:
         self._pose = RigidTransform.from_exp_coords(gain @ error) * self._pose
         covariance = covariance - gain @ covariance[:2]
         self.covariance = 0.5 * (covariance + covariance.T)
+
+
+def _turned(pose: RigidTransform, turn: float) -> RigidTransform:
+    """Return the pose of a rover that has turned farther about the vertical [rad]."""
+    rotation = Rotation.from_euler("z", turn) * pose.rotation
+    return RigidTransform.from_components(pose.translation, rotation)
 
 
 def levelled(pose: RigidTransform) -> RigidTransform:
