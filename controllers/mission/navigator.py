@@ -99,7 +99,15 @@ class NavigatorConfig:
     aura: float = 0.03
     touches: float = 0.02
     paths: GroundPathConfig = GroundPathConfig(
-        radius=0.30, climb=0.016, most_climb=0.035, over_cost=8.0, corner=0.4, least=2, pool=2
+        radius=0.26,
+        climb=0.016,
+        most_climb=0.035,
+        over_cost=8.0,
+        margin=0.3,
+        near_cost=5.0,
+        corner=0.4,
+        least=2,
+        pool=2,
     )
 
 
