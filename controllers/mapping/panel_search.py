@@ -37,7 +37,9 @@ class PanelSearchConfig:
             soon that they miss it for the same reason.
         opaque: Odds that something unmapped hides the target.
         view_time: Time that a view from the present place takes [s].
-        speed: Speed of a drive [m/s].
+        speed: Speed of a drive [m/s] along what its path costs: about twice its length.
+        keeping: How many times as good as another a view may be that was decided on before, and is
+            kept: a rover that decides anew at each stop goes to and fro.
         start_time: Time that a drive takes beside its length [s]: turns, and the fall of the tilt.
         windows: Directions in which a place's views are tried.
         likely: Odds that something stands within `about` of a place from which on it is kept off.
@@ -57,7 +59,8 @@ class PanelSearchConfig:
     passed: float = 0.7
     opaque: float = 0.15
     view_time: float = 4.0
-    speed: float = 0.1
+    speed: float = 0.2
+    keeping: float = 2.0
     start_time: float = 8.0
     windows: int = 36
     likely: float = 0.15
@@ -279,7 +282,12 @@ class PanelSearch:
         self._found = None
 
     def best(
-        self, places: FloatArray, lengths: FloatArray, height: FloatArray, ground: Ground
+        self,
+        places: FloatArray,
+        lengths: FloatArray,
+        height: FloatArray,
+        ground: Ground,
+        wanted: FloatArray | None = None,
     ) -> Viewpoint:
         """Return the view with the best rate.
 
@@ -288,9 +296,10 @@ class PanelSearch:
             lengths: (M,) length of the path to each [m].
             height: (M,) height of the camera at each [m].
             ground: What is mapped of the ground.
+            wanted: (2,) place of the view decided on before, one of them [m]; None for none.
         """
         c = self._config
-        best: Viewpoint | None = None
+        best, worth = None, 0.0
         turns = np.linspace(-math.pi, math.pi, c.windows, endpoint=False)
         tilts = np.arange(-1.2, 0.6, c.half_height)
         for place, length, z in zip(places, lengths, height, strict=True):
@@ -312,7 +321,11 @@ class PanelSearch:
             rate = max(
                 float(odds.sum()) / (drive + views * c.view_time), chance / (drive + c.view_time)
             )
-            if best is None or rate > best.rate:
+            weighed = rate
+            if wanted is not None and np.array_equal(place, wanted):
+                weighed *= c.keeping
+            if best is None or weighed > worth:
+                worth = weighed
                 inside = across[first[0]] & upright[first[1]]
                 shown = np.zeros(len(self.weights), bool)
                 shown[np.flatnonzero(seen)[inside]] = True

@@ -110,7 +110,8 @@ class SearchPanel:
             waits = self._gives_way()
             search.hiding = self._partner()
             places, lengths, heights = self._viewpoints(search, wanted, 0 if waits else _VIEWPOINTS)
-            view = search.best(places, lengths, heights, navigator.sight_lines())
+            kept = wanted[0] if len(wanted) else None
+            view = search.best(places, lengths, heights, navigator.sight_lines(), kept)
             if waits and view.rate < _WORTH:
                 seen = yield from posed(seen, navigator, DRIVING)
                 continue

@@ -181,3 +181,17 @@ def test_a_target_in_sight_is_likely_near_open_to_the_eye_and_turned_to_it():
     search.weights[:] = [0.6, 0.2, 0.199, 0.001]
     np.testing.assert_array_equal(search.in_sight(eye, ground), places[[0]])
     assert not len(search.in_sight(np.array([4.5, 0.0, 0.4]), ground))
+
+
+def test_a_view_decided_on_before_is_kept_unless_another_one_is_clearly_better():
+    """Two likely places on either side, each with its own view 1.2 m before it."""
+    search = search_of([3.2, 5.0, 0.2], [3.2, -5.0, 0.2])
+    places = np.array([[0.0, 0.0], [2.0, 5.0], [2.0, -5.0]])
+    lengths, heights = np.array([0.0, 5.4, 5.4]), np.full(3, 0.4)
+    for odds, kept in ((0.6, True), (0.7, False)):
+        search.weights[:] = [odds, 1.0 - odds]
+        chosen = search.best(places, lengths, heights, EMPTY)
+        np.testing.assert_array_equal(chosen.place, places[1])
+        again = search.best(places, lengths, heights, EMPTY, places[2])
+        np.testing.assert_array_equal(again.place, places[2 if kept else 1])
+        assert again.rate <= chosen.rate
