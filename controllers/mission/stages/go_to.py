@@ -32,11 +32,14 @@ from perception.geometry.arrays import FloatArray
 from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
 
-_MOST_DRIVES = 4  # Largest number of drives to the place.
+_MOST_DRIVES = 6  # Largest number of drives to the place.
 _STRETCHES = (-0.4, -0.3, 0.4, 0.3)
 """Where along its heading the last, straight stretch to a place may begin [m]: behind it, or ahead
 of it, from where the rover drives back; the first one with room is taken."""
 _NEAR, _ALONG = 0.3, 0.6  # Distance [m] and heading [rad] of a rover that need only back off.
+_IN_LINE = (0.03, 0.12)
+"""Distance from the line along the heading of its place [m], and turn from it [rad], of a rover
+that need but drive ahead or back on it."""
 _ANY_WAY = 0.8  # Tolerance of a heading from which on the rover arrives as its path leads it [rad].
 _INNER = 0.2  # How far within its tolerance a heading is that the rover turns to [rad].
 _VIEWS = 8  # Views in which the panel is searched for at the place.
@@ -107,6 +110,8 @@ class GoToPlace:
             return (yield from self._drive(seen, *self._as_led()))
         near = off < _NEAR and turn < _ALONG
         stretch, (place, heading) = self._stretch(near), self._goal()
+        if near and turn < _IN_LINE[1] and self._aside() < _IN_LINE[0]:
+            stretch = None
         if stretch is None and not near:
             return (yield from self._drive(seen, place, heading))
         if stretch is None:
@@ -180,6 +185,11 @@ class GoToPlace:
             self._arm_base(*pose) for pose in ((place, heading), (navigator.place, navigator.yaw))
         )
         return math.dist(there, here), abs(turn)
+
+    def _aside(self) -> float:
+        """Return how far the rover is from the line along the heading of its place [m]."""
+        place, heading = self._goal()
+        return abs(float((self._navigator.place - place) @ _ahead(heading - 0.5 * math.pi)))
 
     def _arm_base(self, place: FloatArray, heading: float) -> FloatArray:
         """Return where the base of the arm is (2,) of a rover at a place (2,) [m] and heading."""

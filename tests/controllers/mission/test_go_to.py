@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mission.behaviours import Driven
 from controllers.mission.stage import StageError
@@ -29,7 +30,7 @@ def stage_with(monkeypatch, arrives, heading=0.0, near=(0.05, 0.1)):
     """Return a stage whose drives arrive or not, and places and headings that they went to."""
     belief = belief_of(SLAVE)
     belief.navigator.observe(seen_at(0.0))
-    went, places = [], iter([(x, 0.0, heading) for x in (2.0, 3.0, 4.0, 5.0)])
+    went, places = [], iter([(x, 0.0, heading) for x in range(2, 9)])
 
     def drive(seen, navigator, arm, goal):
         went.append((float(goal[0][0]), goal[1]))
@@ -53,9 +54,9 @@ def test_after_a_drive_that_failed_the_place_is_chosen_anew(monkeypatch):
 
 def test_drives_that_all_fail_end_the_stage_with_the_reason(monkeypatch):
     stage, went = stage_with(monkeypatch, lambda count: False)
-    with pytest.raises(StageError, match="4 drives: there is no path"):
+    with pytest.raises(StageError, match="6 drives: there is no path"):
         stage.step(seen_at(0.01))
-    assert [place for place, _ in went] == [2.0, 3.0, 4.0, 5.0]
+    assert [place for place, _ in went] == [2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
 
 
 @pytest.mark.parametrize("heading", [-0.9, -2.4, 0.0, 2.5])
@@ -75,8 +76,39 @@ def test_where_the_heading_matters_little_the_rover_turns_no_more_than_it_has_to
         stage.step(seen_at(0.01))
         assert stage.done and went == [first]
         return
-    with pytest.raises(StageError, match="degrees off its place after 4 drives"):
+    with pytest.raises(StageError, match="degrees off its place after 6 drives"):
         stage.step(seen_at(0.01))
     # Where it stands at last, it can but turn.
     assert went[0] == first
     assert went[1][1] == pytest.approx(heading - 0.8 * np.sign(heading))
+
+
+@pytest.mark.parametrize(
+    ("place", "ways"),
+    [
+        ((0.01, 0.15, 0.05), 1),  # in line: ahead
+        ((0.01, -0.15, 0.05), 1),  # in line: back
+        ((0.06, 0.15, 0.05), 2),  # aside: to the begin of a stretch first
+        ((0.01, 0.15, 0.30), 2),  # turned
+    ],
+)
+def test_a_rover_in_line_with_its_place_drives_straight_there(monkeypatch, place, ways):
+    belief = belief_of(SLAVE)
+    belief.navigator.observe(seen_at(0.0))
+    went = []
+
+    def straight(seen, navigator, arm, path, heading, backwards):
+        went.append((path[-1], backwards))
+        if len(went) == ways:
+            turn = Rotation.from_euler("z", heading)
+            navigator.odometry._pose = RigidTransform.from_components([*path[-1], 0.0], turn)
+        return seen
+        yield
+
+    monkeypatch.setattr(go_to, "drive_straight", straight)
+    monkeypatch.setattr(GoBy, "_stretch", lambda *_: -0.4)
+    stage = GoBy("approach", belief, lambda: place, (0.035, 0.06))
+    stage.step(seen_at(0.01))
+    assert stage.done and len(went) == ways
+    np.testing.assert_allclose(went[-1][0], place[:2])
+    assert went[0][1] == (place[1] < 0.0 or ways == 2)
