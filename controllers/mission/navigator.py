@@ -99,7 +99,7 @@ class NavigatorConfig:
     aura: float = 0.03
     touches: float = 0.02
     paths: GroundPathConfig = GroundPathConfig(
-        radius=0.26,
+        radius=0.28,
         climb=0.016,
         most_climb=0.035,
         over_cost=8.0,

@@ -28,7 +28,7 @@ OMITTABLE = ("paths", "occluders", "guard")
 station is chosen, or the guard against tipping over."""
 STAGES = ("identify", "search", "map", "place", "approach", "insert")
 """Stages in their order; both rovers end each together."""
-_ROOMS = (0.14, 0.04, None)
+_ROOMS = (0.12, 0.02, None)
 """Room about the camera station that is wanted, and what is content with if there is none [m]: a
 rover slides as it turns there."""
 _NEAR_SLOT, _NEAR_STATION = (0.035, 0.06), (0.06, 1.8)
