@@ -36,6 +36,7 @@ class PanelSearchConfig:
         passed: The same of one on the way: images are blurred, and one pair follows the other so
             soon that they miss it for the same reason.
         opaque: Odds that something unmapped hides the target.
+        same: Distance within which a camera sees what it saw before [m].
         view_time: Time that a view from the present place takes [s].
         speed: Speed of a drive [m/s] along what its path costs: about twice its length.
         keeping: How many times as good as another a view may be that was decided on before, and is
@@ -58,6 +59,7 @@ class PanelSearchConfig:
     missed: float = 0.1
     passed: float = 0.7
     opaque: float = 0.15
+    same: float = 0.3
     view_time: float = 4.0
     speed: float = 0.2
     keeping: float = 2.0
@@ -163,6 +165,8 @@ class PanelSearch:
         self.views = 0
         self.near = True
         self.hiding = np.zeros((0, 3))
+        self._eye = np.full(2, np.inf)  # From where views were taken last, and what they showed.
+        self._tried = np.zeros(len(self.places), bool)
         self._spot: FloatArray | None = None  # Where it was sighted last.
         # Discs of the site and what they made likely, until the next view.
         self._found: tuple[FloatArray, FloatArray] | None = None
@@ -237,8 +241,11 @@ class PanelSearch:
         seen = within & self._visible(eye, reach) & ~ground.hidden(eye, self.places)
         odds = c.passed
         if intended is not None:
-            seen |= intended.shown
+            # Another view from the same place shows no more: what hid the target still does.
+            seen = (seen | intended.shown) & ~self._tried_from(eye[:2])
             odds = c.missed
+            self._tried = seen | self._tried_from(eye[:2])
+            self._eye = eye[:2].copy()
         self.weights *= np.where(seen, odds + c.opaque - odds * c.opaque, 1.0)
         self.weights /= self.weights.sum()
         self._found = None
@@ -278,6 +285,7 @@ class PanelSearch:
         self.weights *= (1.0 - c.sighted) / max(self.weights.sum(), _LEAST)
         self.weights[self._seen] = c.sighted / len(self._seen)
         self.weights /= self.weights.sum()
+        self._tried[self._seen] = False
         self._spot = place[:2]
         self._found = None
 
@@ -304,7 +312,7 @@ class PanelSearch:
         tilts = np.arange(-1.2, 0.6, c.half_height)
         for place, length, z in zip(places, lengths, height, strict=True):
             eye = np.array([*place, z])
-            seen = self._visible(eye, self._reach)
+            seen = self._visible(eye, self._reach) & ~self._tried_from(place)
             seen[seen] = ~ground.hidden(eye, self.places[seen])
             odds = self.weights[seen] * (1.0 - c.missed) * (1.0 - c.opaque)
             if not len(odds):
@@ -335,6 +343,12 @@ class PanelSearch:
             nothing = np.zeros(len(self.weights), bool)
             return Viewpoint(places[0], self.mean, 0.0, 0.0, nothing)
         return best
+
+    def _tried_from(self, place: FloatArray) -> BoolArray:
+        """Return (N,), which places views have shown already from near a place (2,) [m]."""
+        if np.linalg.norm(place - self._eye) > self._config.same:
+            return np.zeros(len(self.weights), bool)
+        return self._tried
 
     @property
     def sighted(self) -> bool:

@@ -140,9 +140,10 @@ def test_a_sighting_draws_the_odds_to_where_it_was_until_near_views_miss_it():
         assert len(seen) == 1 and search.weights[seen[0]] == pytest.approx(CONFIG.sighted)
         assert search.weights.sum() == pytest.approx(1.0)
         assert all(np.any(np.isclose(search.places, spot).all(axis=1)) for spot in spots[:3])
-    view = search.best(np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY)
-    for _ in range(4):
-        search.miss(camera([0.0, 0.0, 0.4], view.target), EMPTY, view)
+    for step in range(4):
+        eye = np.array([0.0, 0.4 * (step % 2), 0.4])
+        view = search.best(eye[None, :2], np.zeros(1), np.full(1, 0.4), EMPTY)
+        search.miss(camera(eye, view.target), EMPTY, view)
     assert not search.sighted
 
 
@@ -195,3 +196,19 @@ def test_a_view_decided_on_before_is_kept_unless_another_one_is_clearly_better()
         again = search.best(places, lengths, heights, EMPTY, places[2])
         np.testing.assert_array_equal(again.place, places[2 if kept else 1])
         assert again.rate <= chosen.rate
+
+
+def test_a_view_from_the_same_place_again_tells_nothing_new():
+    search = search_of([1.2, 0.0, 0.2], [1.2, 0.1, 0.2], [-3.0, 0.0, 0.2])
+    here = np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY
+    view = search.best(*here)
+    search.miss(camera([0.0, 0.0, 0.4], view.target), EMPTY, view)
+    once = search.weights.copy()
+    assert search.best(*here).rate == 0.0
+    search.miss(camera([0.1, 0.0, 0.4], view.target), EMPTY, view)
+    np.testing.assert_allclose(search.weights, once)
+    aside = np.array([[0.0, 0.5]])
+    again = search.best(aside, *here[1:])
+    assert again.rate > 0.0
+    search.miss(camera([0.0, 0.5, 0.4], again.target), EMPTY, again)
+    assert search.weights[0] < once[0]
