@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.drawing import InsertionDrawing
-from controllers.insertion.watching import WatchPlan, target_field
+from controllers.insertion.watching import WatchPlan, arm_spheres, target_field
 from controllers.kinematics.arm_inverse import parallel_views
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.placement.mapped_ground import MappedGround
@@ -40,7 +40,6 @@ _CLEAR = 0.55  # Distance of the camera rover's middle from the other rover's pa
 _FIELD = 1.9  # Half of the square in which the camera rover may be [m].
 _REACHES = np.arange(0.20, 0.45, 0.01)  # Distances of the camera before the robot's origin [m].
 _TRIES = 2000
-_HEAD = 0.04  # Radius of spheres about the eyes and the middle between them that hold the head [m].
 _MARGIN = 0.08  # Distance that arm and head keep from what is mapped [m].
 _SHIFT = 0.05  # How far the head may be from its place, and card and slot are seen yet [m].
 
@@ -156,15 +155,12 @@ def held_space(robot: RobotDescription, station: CameraStation) -> FloatArray:
         station: Its pose and that of its arm.
     """
     arm, head = camera_arm(robot)
-    links = arm.cover_points(station.angles[None])[0]
-    across = np.linspace(0.0, head.baseline, 3)[:, None] * [1.0, 0.0, 0.0]
-    eyes = arm.tool_in_robot(station.angles).apply(across)
-    radii = np.repeat([arm.cover_radius, _HEAD], [len(links), len(eyes)])
+    spheres = arm_spheres(arm, head.baseline, station.angles[None])[0]
     x, y, yaw = station.place
     to_ground = RigidTransform.from_components(
         [x, y, robot.centre_height], Rotation.from_euler("z", yaw)
     )
-    return np.column_stack([to_ground.apply(np.vstack([links, eyes])), radii])
+    return np.column_stack([to_ground.apply(spheres[:, :3]), spheres[:, 3]])
 
 
 def random_camera_station(

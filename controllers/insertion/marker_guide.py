@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.guidance import Guidance
-from controllers.insertion.watching import SeenParts, WatchPlan, best_angles
+from controllers.insertion.watching import SeenParts, Surroundings, WatchPlan, best_angles
 from controllers.kinematics.serial_chain import SerialChain
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import adjoint, transport_covariance
@@ -81,6 +81,7 @@ class MarkerGuide:
         slot: Prior transform from the slot to the robot, and its covariance (6, 6).
         card: Approximate transform from the card to the robot.
         angles: (4,) initial goal of the joint angles [rad].
+        about: What stands about card and slot, robot frame; None for nothing.
 
     Attributes:
         config: Markers, detector and placement of the camera.
@@ -99,8 +100,9 @@ class MarkerGuide:
         slot: tuple[RigidTransform, FloatArray],
         card: RigidTransform,
         angles: FloatArray,
+        about: Surroundings | None = None,
     ) -> None:
-        self.config = config
+        self.config, self._about = config, about
         self.transform_slot_to_robot, self.slot_covariance = slot
         self.transform_card_to_robot = card
         self.fits: tuple[BodyFit | None, BodyFit | None] = (None, None)
@@ -243,7 +245,9 @@ class MarkerGuide:
         follows = self._found and not sure
         farthest = self.config.aside if follows else math.inf
         parts = self._parts()
-        found = best_angles(plan, parts, self._arm, self._geometry, self._goal, sure, farthest)
+        found = best_angles(
+            plan, parts, self._arm, self._geometry, self._goal, sure, farthest, self._about
+        )
         better = found.rating > self.config.better * found.rating_now
         # A card alone is followed, not seen better.
         if better and (found.whole or found.rating_now == 0.0):

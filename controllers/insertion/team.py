@@ -14,6 +14,7 @@ from controllers.insertion.drawing import InsertionDrawing
 from controllers.insertion.guidance import Guidance, GuidanceLink
 from controllers.insertion.guide import GuideConfig
 from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
+from controllers.insertion.watching import Surroundings
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_tilt import TiltAxis
 from controllers.sensing.surrogate import SensorLimits, SurrogateSensing
@@ -148,6 +149,7 @@ def marker_guide(
     angles: FloatArray,
     placed: bool,
     detector: str = "blob",
+    about: Surroundings | None = None,
 ) -> MarkerGuide:
     """Return the master's guide, which measures card and slot.
 
@@ -159,6 +161,7 @@ def marker_guide(
         angles: (4,) initial joint angles [rad].
         placed: Whether the camera moves to its best view, or keeps its pose.
         detector: Name of the marker detector, in `perception.markers.bodies.DETECTORS`.
+        about: What stands about card and slot, robot frame; None for nothing.
     """
     arm, head = camera_arm(robot)
     plan = watch_plan(head, drawing) if placed else None
@@ -170,7 +173,7 @@ def marker_guide(
         detector,
         exposure=head.exposure,
     )
-    return MarkerGuide(config, arm, stereo_geometry(robot), slot, card, angles)
+    return MarkerGuide(config, arm, stereo_geometry(robot), slot, card, angles, about)
 
 
 def surrogate_sensing(

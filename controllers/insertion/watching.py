@@ -10,17 +10,21 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.arm_inverse import standing_views
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.placement.spatial.occluders import TargetField, expand
+from controllers.placement.spatial.occluders import TargetField, expand, occluders_of_voxels
 from controllers.placement.spatial.search import rate_positions
 from controllers.placement.task import Exponents, Lens, Occluder, PlacementError, Target
 from perception.geometry.arrays import FloatArray
 from perception.markers.poses import BodyCad
 from perception.stereo.geometry import StereoGeometry
 
+_HEAD = 0.04  # Radius of spheres about the eyes and the middle between them that hold the head [m].
+_MARGIN, _SEVERAL = 0.05, 3
+"""Distance that arm and head keep from what is mapped [m], and how many points of it count."""
 _AS_GOOD = 0.95  # Ratio to the best rating from which views count as equal.
 
 
@@ -89,6 +93,58 @@ class ArmChoice:
     whole: bool
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What is mapped before card and slot, in one frame with them.
+
+    Attributes:
+        points: (K, 3) points of it [m].
+        occluders: The same as convex pieces.
+    """
+
+    points: FloatArray
+    occluders: Sequence[Occluder]
+
+    @classmethod
+    def of(cls, points: FloatArray, voxel: float = 0.01) -> "Surroundings":
+        """Return the surroundings that points (K, 3) [m] show.
+
+        Args:
+            points: Points of obstacles.
+            voxel: Edge of the voxels of which occluders are made [m].
+        """
+        cells = np.unique(np.floor(points / voxel), axis=0)
+        pieces = occluders_of_voxels((cells + 0.5) * voxel, voxel, name="mapped")
+        return cls(points, pieces)
+
+    def touched(self, spheres: FloatArray) -> NDArray[np.bool_]:
+        """Return (N,), whether one of K spheres (N, K, 4) is within `_MARGIN` of several points."""
+        if not len(self.points):
+            return np.zeros(len(spheres), dtype=bool)
+        counts = cKDTree(self.points).query_ball_point(
+            spheres[..., :3], spheres[..., 3] + _MARGIN, return_length=True
+        )
+        return np.asarray(counts).max(axis=1) >= _SEVERAL
+
+
+def arm_spheres(arm: SerialChain, baseline: float, angles: FloatArray) -> FloatArray:
+    """Return spheres (N, K, 4) that hold arm and stereo head, centre and radius, robot frame [m].
+
+    Args:
+        arm: Arm with the left camera as its tool.
+        baseline: Distance between the eyes [m].
+        angles: (N, joints) joint angles [rad].
+    """
+    links, cameras = arm.cover_points(angles), arm.tool_in_robot(angles)
+    across = cameras.rotation.as_matrix()[:, None, :, 0] * np.linspace(0.0, baseline, 3)[:, None]
+    eyes = np.asarray(cameras.translation)[:, None] + across
+    centres = np.concatenate([links, eyes], axis=1)
+    radii = np.repeat([arm.cover_radius, _HEAD], [links.shape[1], eyes.shape[1]])
+    return np.concatenate(
+        [centres, np.broadcast_to(radii[:, None], (*centres.shape[:2], 1))], axis=2
+    )
+
+
 def target_field(
     plan: WatchPlan, parts: SeenParts, whole: bool = True, others: Sequence[Occluder] = ()
 ) -> TargetField:
@@ -126,6 +182,7 @@ def best_angles(
     now: FloatArray,
     sure: bool = True,
     farthest: float = math.inf,
+    about: Surroundings | None = None,
 ) -> ArmChoice:
     """Return the joint angles with the best view of card and slot, or if none shows both, the card.
 
@@ -137,12 +194,15 @@ def best_angles(
         now: (4,) present joint angles to compare with [rad].
         sure: Whether the poses were seen, and are no mere priors.
         farthest: Longest way of a joint [rad].
+        about: What hides card and slot, and is not to be touched, robot frame; None for nothing.
     """
     wider = dataclasses.replace(plan, border=plan.border + plan.unsure)
     views = [(plan, True), (plan, False)]
     if not sure:
         views = [(wider, True), (plan, True), (wider, False), (plan, False)]
-    choices = (_best_of(kept, parts, arm, geometry, now, farthest, whole) for kept, whole in views)
+    choices = (
+        _best_of(kept, parts, arm, geometry, now, farthest, whole, about) for kept, whole in views
+    )
     return next((c for c in choices if c.rating > 0.0), ArmChoice(now, 0.0, 0.0, False))
 
 
@@ -154,10 +214,11 @@ def _best_of(
     now: FloatArray,
     farthest: float,
     whole: bool,
+    about: Surroundings | None,
 ) -> ArmChoice:
     """Return the best view of card and slot, or of the card alone, which moves."""
     try:
-        field = target_field(plan, parts, whole)
+        field = target_field(plan, parts, whole, about.occluders if about else ())
     except PlacementError:
         return ArmChoice(now, 0.0, 0.0, whole)
     views = standing_views(arm, field.target.position, plan.distances, plan.pitches)
@@ -169,6 +230,11 @@ def _best_of(
     places = np.asarray(cameras.translation)
     rated = rate_positions(field, plan.lens, places, None, plan.exponents)
     ratings = np.where(seen, [view.rating for view in rated], 0.0)
+    if about is not None:
+        right = places + geometry.baseline * cameras.rotation.as_matrix()[:, :, 0]
+        others = rate_positions(field, plan.lens, right, None, plan.exponents)
+        ratings[[view.rating == 0.0 for view in others]] = 0.0
+        ratings[about.touched(arm_spheres(arm, geometry.baseline, angles))] = 0.0
     # Of equally good views, the one nearest to the arm's present angles.
     good = np.flatnonzero(ratings >= _AS_GOOD * ratings.max())
     best = int(good[np.argmin(np.abs(angles[good] - now).max(axis=1))])

@@ -141,7 +141,7 @@ def _master_stages(
     occluders = config.without != "occluders"
     yield GoToPlace("place", belief, lambda: best_station(belief, occluders).place, _NEAR_STATION)
     yield Wait("approach", belief)
-    yield GuideInsertion(belief, radio, card)
+    yield GuideInsertion(belief, radio, card, occluders)
 
 
 def _slave_stages(

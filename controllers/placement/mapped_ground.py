@@ -92,6 +92,17 @@ class MappedGround:
         near = tree.query_ball_point(spheres[:, :3], spheres[:, 3] + margin)
         return len(set().union(*near)) >= self._config.min_points
 
+    def before(self, position: FloatArray, normal: FloatArray) -> FloatArray:
+        """Return the points (K, 3) of obstacles before a target and near it [m], ground frame.
+
+        Args:
+            position: (3,) position of the target [m], ground frame.
+            normal: (3,) unit vector out of its visible side, ground frame.
+        """
+        config, away = self._config, self.points - position
+        near = np.linalg.norm(away, axis=1) < config.occluder_range
+        return self.points[near & (away @ normal > config.face)]
+
     def occluders(self, position: FloatArray, normal: FloatArray) -> list[Occluder]:
         """Return the obstacles before a target, as convex pieces.
 
@@ -99,9 +110,6 @@ class MappedGround:
             position: (3,) position of the target [m], ground frame.
             normal: (3,) unit vector out of its visible side, ground frame.
         """
-        config, away = self._config, self.points - position
-        near = (np.linalg.norm(away, axis=1) < config.occluder_range) & (
-            away @ normal > config.face
-        )
-        cells = np.unique(np.floor(self.points[near] / config.voxel), axis=0)
-        return occluders_of_voxels((cells + 0.5) * config.voxel, config.voxel, name="mapped")
+        voxel = self._config.voxel
+        cells = np.unique(np.floor(self.before(position, normal) / voxel), axis=0)
+        return occluders_of_voxels((cells + 0.5) * voxel, voxel, name="mapped")

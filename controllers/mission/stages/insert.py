@@ -16,12 +16,14 @@ from controllers.insertion.team import (
     marker_guide,
     surrogate_sensing,
 )
+from controllers.insertion.watching import Surroundings
 from controllers.mapping.searching import aim
 from controllers.mission.belief import MissionBelief, tilt_of
 from controllers.mission.radio import MissionRadio, RadioPort, SlotPose
 from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
 from controllers.motion.base_tilt import BaseTilt, drawn_springs
+from controllers.placement.mapped_ground import MappedGround
 from twin.robot import Command, Observation
 
 _GUIDED = (InsertionStage.WAIT, InsertionStage.APPROACH, InsertionStage.ALIGN)
@@ -34,6 +36,7 @@ class GuideInsertion:
         belief: Estimates of the master.
         radio: The master's end of the radio.
         transform_card_to_slave: Pose of the card in the slave's frame, with its arm at home.
+        occluders: Whether what is mapped is taken into account.
 
     Attributes:
         done: Always true: the slave's part ends the stage.
@@ -43,9 +46,14 @@ class GuideInsertion:
     done = True
 
     def __init__(
-        self, belief: MissionBelief, radio: MissionRadio, transform_card_to_slave: RigidTransform
+        self,
+        belief: MissionBelief,
+        radio: MissionRadio,
+        transform_card_to_slave: RigidTransform,
+        occluders: bool = True,
     ) -> None:
         self._belief, self._radio, self._card = belief, radio, transform_card_to_slave
+        self._occluders = occluders
         self._port = RadioPort(radio, KINDS)
         self._master: InsertionMaster | None = None
         self._move = ArmMove(belief.home, footing=belief.navigator.footing)
@@ -74,10 +82,23 @@ class GuideInsertion:
         slot, card = belief.slot_in_robot(tilt), belief.card_in_robot(tilt, slave, self._card)
         middle = 0.5 * (slot[0].translation + card.translation)
         start = aim(camera_arm(belief.robot)[0], middle, belief.home)
-        guide = marker_guide(belief.robot, belief.site.insertion, slot, card, start, placed=True)
+        about = self._surroundings(slot[0])
+        guide = marker_guide(
+            belief.robot, belief.site.insertion, slot, card, start, placed=True, about=about
+        )
         master = InsertionMaster(name, guide, GuidanceLink(self._port))
         move = ArmMove(guide.begin(), speed=0.5, footing=belief.navigator.footing)
         return master, move
+
+    def _surroundings(self, slot: RigidTransform) -> Surroundings | None:
+        """Return what is mapped before the slot, in the robot's frame."""
+        if not self._occluders:
+            return None
+        belief, to_ground = self._belief, self._belief.site.insertion.transform_slot_to_ground
+        ground = MappedGround(belief.map.voxels.surface(), belief.transform_ground_to_map.inv())
+        normal = to_ground.rotation.apply([0.0, 0.0, 1.0])
+        points = ground.before(np.asarray(to_ground.translation), normal)
+        return Surroundings.of(np.asarray((slot * to_ground.inv()).apply(points)).reshape(-1, 3))
 
 
 class InsertCard:

@@ -8,7 +8,9 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.watching import (
+    Surroundings,
     above_its_foot,
+    arm_spheres,
     best_angles,
     in_both_images,
     target_field,
@@ -191,3 +193,49 @@ def test_arm_above_its_foot_touches_neither_ground_nor_deck_nor_wheels():
     assert 0.1 < above.mean() < 0.9 and touches.sum() > 20
     assert not np.any(touches & above)
     assert above_its_foot(arm, np.zeros((0, 4))).shape == (0,)
+
+
+def sides_of_post(x: float, y: float, top: float) -> np.ndarray:
+    """Return points (N, 3) on the sides of an upright post 8 cm wide, robot frame."""
+    across, up = np.arange(-0.04, 0.041, 0.01), np.arange(-0.1, top, 0.01)
+    faces = [(a, s) for a in across for s in (-0.04, 0.04)]
+    return np.array([
+        (x + dx, y + dy, z) for dx, dy in [*faces, *((s, a) for a, s in faces)] for z in up
+    ])  # fmt: skip
+
+
+def test_a_view_keeps_off_what_is_mapped_and_sees_past_it(watched):
+    """A post where the head is in the best view, and one between that view and the markers."""
+    parts, now = watched[2], best_station(WIDTH).angles
+    best = best_angles(PLAN, parts, ARM, EYES, now)
+    eye = ARM.tool_in_robot(best.angles).translation
+    markers = parts.markers()
+    for share in (0.1, 0.6):
+        x, y, top = eye + share * (markers.mean(axis=0) - eye)
+        post = sides_of_post(x, y, top + 0.05)
+        choice = best_angles(PLAN, parts, ARM, EYES, now, about=Surroundings.of(post))
+        if choice.rating == 0.0:
+            np.testing.assert_array_equal(choice.angles, now)
+            continue
+        assert choice.rating < best.rating
+        spheres = arm_spheres(ARM, EYES.baseline, choice.angles[None])[0]
+        apart = np.linalg.norm(spheres[:, None, :3] - post, axis=2) - spheres[:, 3:]
+        assert apart.min() > 0.03
+        camera = ARM.tool_in_robot(choice.angles)
+        for eye_place in camera.apply([[0.0, 0.0, 0.0], [EYES.baseline, 0.0, 0.0]]):
+            for marker in markers:
+                way = eye_place + np.linspace(0.0, 1.0, 200)[:, None] * (marker - eye_place)
+                assert np.linalg.norm(way[:, None] - post, axis=2).min() > 0.003
+    # Nothing mapped changes nothing.
+    empty = best_angles(PLAN, parts, ARM, EYES, now, about=Surroundings.of(np.zeros((0, 3))))
+    np.testing.assert_array_equal(empty.angles, best.angles)
+
+
+def test_arm_spheres_hold_the_eyes_and_the_links(watched):
+    angles = np.array([best_station(WIDTH).angles, [0.3, 1.2, -0.5, -1.0]])
+    spheres = arm_spheres(ARM, EYES.baseline, angles)
+    for row, held in zip(angles, spheres):
+        camera = ARM.tool_in_robot(row)
+        for point in (*ARM.cover_points(row[None])[0], camera.translation,
+                      camera.apply([EYES.baseline, 0.0, 0.0])):  # fmt: skip
+            assert np.any(np.linalg.norm(held[:, :3] - point, axis=1) < 1e-9)
