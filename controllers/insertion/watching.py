@@ -145,6 +145,32 @@ def arm_spheres(arm: SerialChain, baseline: float, angles: FloatArray) -> FloatA
     )
 
 
+def hides_itself(
+    arm: SerialChain, baseline: float, angles: FloatArray, points: FloatArray
+) -> NDArray[np.bool_]:
+    """Return (N,), whether the arm hides one of points (K, 3) from one of its head's eyes.
+
+    Args:
+        arm: Arm with the left camera as its tool.
+        baseline: Distance between the eyes [m].
+        angles: (N, joints) joint angles [rad].
+        points: Points in the robot frame [m].
+    """
+    own = len(arm.joints[-1].cover_points)  # The last link holds the head, which sees past it.
+    links, cameras = arm.cover_points(angles)[:, :-own], arm.tool_in_robot(angles)
+    across = baseline * cameras.rotation.as_matrix()[:, :, 0]
+    hidden = np.zeros(len(angles), dtype=bool)
+    for eyes in (np.asarray(cameras.translation), np.asarray(cameras.translation) + across):
+        for point in points:
+            way = point - eyes
+            length = np.linalg.norm(way, axis=1)[:, None]
+            away = links - eyes[:, None]
+            along = np.clip(np.einsum("nki,ni->nk", away, way) / length, 0.0, length)
+            off = np.linalg.norm(away - (along / length)[..., None] * way[:, None], axis=2)
+            hidden |= np.any(off < arm.cover_radius, axis=1)
+    return hidden
+
+
 def target_field(
     plan: WatchPlan, parts: SeenParts, whole: bool = True, others: Sequence[Occluder] = ()
 ) -> TargetField:
@@ -230,6 +256,7 @@ def _best_of(
     places = np.asarray(cameras.translation)
     rated = rate_positions(field, plan.lens, places, None, plan.exponents)
     ratings = np.where(seen, [view.rating for view in rated], 0.0)
+    ratings[hides_itself(arm, geometry.baseline, angles, markers)] = 0.0
     if about is not None:
         right = places + geometry.baseline * cameras.rotation.as_matrix()[:, :, 0]
         others = rate_positions(field, plan.lens, right, None, plan.exponents)

@@ -1,6 +1,7 @@
 """The master's camera goes where MuJoCo's rays reach all markers; no better place is left out."""
 
 import dataclasses
+import math
 
 import mujoco
 import numpy as np
@@ -12,6 +13,7 @@ from controllers.insertion.watching import (
     above_its_foot,
     arm_spheres,
     best_angles,
+    hides_itself,
     in_both_images,
     target_field,
 )
@@ -239,3 +241,55 @@ def test_arm_spheres_hold_the_eyes_and_the_links(watched):
         for point in (*ARM.cover_points(row[None])[0], camera.translation,
                       camera.apply([EYES.baseline, 0.0, 0.0])):  # fmt: skip
             assert np.any(np.linalg.norm(held[:, :3] - point, axis=1) < 1e-9)
+
+
+def test_postures_whose_arm_hides_a_marker_are_those_that_rays_find(watched):
+    """Postures of the whole joint space that have all markers in both images, by MuJoCo's rays."""
+    model, data, parts, markers = watched
+    rng = np.random.default_rng(4)
+    low, high = ARM.limits.T
+    target = parts.markers().mean(axis=0)
+    angles = rng.uniform(low, high, (60000, 4))
+    angles[:, 0] = math.atan2(-target[0], target[1] - ARM.transform_base_to_robot.translation[1])
+    cameras = ARM.tool_in_robot(angles)
+    angles = angles[in_both_images(cameras, parts.markers(), EYES, 0.0)]
+    angles = angles[above_its_foot(ARM, angles)][:150]
+    assert len(angles) > 40
+    own = [
+        model.geom(i).id
+        for i in range(model.ngeom)
+        if model.body(model.geom_bodyid[i]).name
+        in (f"{MASTER}/{link}" for link in ("upper_arm", "forearm"))
+    ]
+    found, truly = hides_itself(ARM, EYES.baseline, angles, parts.markers()), []
+    for row in angles:
+        arm_at(model, data, MASTER, row)
+        truly.append(any(_ray_meets(model, data, own, side, markers) for side in EYES_NAMES))
+    truly = np.array(truly)
+    assert truly.sum() > 5
+    # Links are held by spheres, so that some more count as hidden; none that is hidden does not.
+    assert np.all(found[truly])
+    assert np.mean(found & ~truly) < 0.25
+
+
+EYES_NAMES = ("left", "right")
+
+
+def _ray_meets(model, data, geoms, side, markers) -> bool:
+    """Whether a ray from an eye to a marker meets one of geoms."""
+    _, eye = camera_pose(data, model.camera(f"{MASTER}/stereo_{side}").id)
+    for marker in markers:
+        way = np.linalg.norm(marker - eye)
+        for geom in geoms:
+            hit = np.zeros(1, dtype=np.int32)
+            at, direction = eye.copy(), (marker - eye) / way
+            gone = 0.0
+            for _ in range(8):
+                step = mujoco.mj_ray(model, data, at, direction, None, 1, -1, hit)
+                if step < 0.0 or gone + step > way:
+                    break
+                if hit[0] == geom:
+                    return True
+                gone += step + 1e-4
+                at = eye + gone * direction
+    return False
