@@ -476,7 +476,7 @@ class Navigator:
             backwards: Whether the rover drives backwards.
         """
         self._goal, self._slips, self._waits, self._slides = None, 0, False, False
-        self._anchor, self._turns = self.place, 0
+        self._anchor, self._turns, self._turning = self.place, 0, None
         self._start = self.odometry.level_pose()
         local = self._in_start(path)
         turn = self._turn(heading)

@@ -328,3 +328,21 @@ def test_what_a_turn_slides_on_smooth_ground_makes_the_next_one_need_more_room(s
     (x, y), yaw = rover.navigator.place, rover.navigator.yaw
     put_box_on(rover.navigator, x + 0.45 * math.sin(yaw), y - 0.45 * math.cos(yaw), half=0.05)
     assert rover.navigator.may_turn(1.3) == free
+
+
+def test_what_a_rover_drives_between_two_turns_is_no_slide():
+    rover = Rolling(tilt=(0.1, 0.0))
+    put_box(rover.navigator, 5.0, 5.0)
+    odometry = rover.navigator.odometry
+    for heading in (0.8, 1.6):
+        rover.navigator.follow(rover.navigator.place[None], heading)
+        for _ in range(2):
+            for _ in range(100):
+                rover.wheels = np.array(rover.navigator.step(rover.seen).wheels)
+                rover.seen = rover.tick()
+            rover.navigator.correct()
+        learnt = rover.navigator._sliding  # pyright: ignore
+        # It drives elsewhere, and turns again there.
+        odometry._pose = RigidTransform.from_translation([0.5, 0.0, 0.0]) * odometry.pose()  # pyright: ignore
+        odometry._at = odometry._pasts[-1]  # pyright: ignore
+    assert learnt < 0.7
