@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.kinematics.arm_inverse import standing_views
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.placement.spatial.occluders import TargetField, expand, occluders_of_voxels
+from controllers.placement.spatial.occluders import TargetField, expand, occluders_of_points
 from controllers.placement.spatial.search import rate_positions
 from controllers.placement.task import Exponents, Lens, Occluder, PlacementError, Target
 from perception.geometry.arrays import FloatArray
@@ -113,9 +113,7 @@ class Surroundings:
             points: Points of obstacles.
             voxel: Edge of the voxels of which occluders are made [m].
         """
-        cells = np.unique(np.floor(points / voxel), axis=0)
-        pieces = occluders_of_voxels((cells + 0.5) * voxel, voxel, name="mapped")
-        return cls(points, pieces)
+        return cls(points, occluders_of_points(points, voxel))
 
     def touched(self, spheres: FloatArray) -> NDArray[np.bool_]:
         """Return (N,), whether one of K spheres (N, K, 4) is within `_MARGIN` of several points."""

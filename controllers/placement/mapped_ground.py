@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform
 
-from controllers.placement.spatial.occluders import occluders_of_voxels
+from controllers.placement.spatial.occluders import occluders_of_points
 from controllers.placement.task import Occluder
 from perception.geometry.arrays import FloatArray
 from perception.voxels.map import Surface
@@ -110,6 +110,4 @@ class MappedGround:
             position: (3,) position of the target [m], ground frame.
             normal: (3,) unit vector out of its visible side, ground frame.
         """
-        voxel = self._config.voxel
-        cells = np.unique(np.floor(self.before(position, normal) / voxel), axis=0)
-        return occluders_of_voxels((cells + 0.5) * voxel, voxel, name="mapped")
+        return occluders_of_points(self.before(position, normal), self._config.voxel)

@@ -93,7 +93,7 @@ def find_spots(image: ImageArray, cad: TargetCad, far: bool = False) -> FloatArr
     Args:
         image: (height, width) uint8.
         cad: Proportions of a marker.
-        far: Whether spots down to a third of the smallest diameter are found too, which takes five
+        far: Whether spots down to a third of the smallest diameter are found too, which takes three
             times as long.
 
     Raises:

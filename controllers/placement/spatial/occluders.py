@@ -140,6 +140,17 @@ def occluders_of_voxels(
     return found
 
 
+def occluders_of_points(points: FloatArray, cell: float) -> list[Occluder]:
+    """Return occluders named ``mapped`` of the voxels that hold points (N, 3) [m], world.
+
+    Args:
+        points: Points of obstacles.
+        cell: Edge of a voxel [m].
+    """
+    cells = np.unique(np.floor(points / cell), axis=0)
+    return occluders_of_voxels((cells + 0.5) * cell, cell, name="mapped")
+
+
 def before_plane(target: Target, points: ArrayLike, height: float) -> FloatArray:
     """Return those of points (N, 3) [m], world, that are in front of a target's plane.
 

@@ -264,15 +264,12 @@ def test_postures_whose_arm_hides_a_marker_are_those_that_rays_find(watched):
     found, truly = hides_itself(ARM, EYES.baseline, angles, parts.markers()), []
     for row in angles:
         arm_at(model, data, MASTER, row)
-        truly.append(any(_ray_meets(model, data, own, side, markers) for side in EYES_NAMES))
+        truly.append(any(_ray_meets(model, data, own, side, markers) for side in ("left", "right")))
     truly = np.array(truly)
     assert truly.sum() > 5
     # Links are held by spheres, so that some more count as hidden; none that is hidden does not.
     assert np.all(found[truly])
     assert np.mean(found & ~truly) < 0.25
-
-
-EYES_NAMES = ("left", "right")
 
 
 def _ray_meets(model, data, geoms, side, markers) -> bool:
