@@ -1,9 +1,12 @@
 """The robots' common map, and the fusion of views into it."""
 
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+
 import numba
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.localization import (
@@ -19,8 +22,8 @@ from perception.geometry.pinhole import Frustum
 from perception.geometry.se3 import transform_points_with_covariance, transport_covariance
 from perception.registration.checks import RegistrationError
 from perception.registration.closed_form import kabsch_pose
-from perception.registration.likelihood import solve
-from perception.registration.reprojection import KnownPoints, Sighting
+from perception.registration.likelihood import PoseSolution, solve
+from perception.registration.reprojection import KnownPoints, Pose, Sighting
 from perception.registration.target import SeenTarget, TargetCad, find_target
 from perception.stereo.geometry import StereoGeometry
 from perception.stereo.matching import StereoPoints
@@ -31,6 +34,9 @@ _KNOWN = 1e-10  # Variance of a marker's position in the CAD [m^2].
 _FAINT = np.full(3, 0.1)
 """Standard deviations of column, row and disparity of a marker that is small or dim [px]."""
 _BESIDE = 0.15  # Width beside the markers of a target that is searched, too [m].
+_CLEARLY, _ELSEWHERE = 12.0, 22.5
+"""By how much squared residuals of another pose must exceed those of the best one, if their squared
+normalised distance is more than that."""
 _MISFIT = 6.0  # Squared normalised residuals per degree of freedom of markers that do not fit.
 
 
@@ -158,7 +164,8 @@ class SharedMap:
     def camera_at(self, target: SeenTarget, sigma: FloatArray) -> CameraPose | None:
         """Return the camera's pose in the target's frame.
 
-        Three markers are enough: their distances identify them.
+        Three markers are enough, if they can be no others. Far away, a flat target that is turned
+        to one side looks like one that is turned to the other, and three markers like three others.
 
         Args:
             target: Markers of the target as a view shows them.
@@ -166,24 +173,42 @@ class SharedMap:
 
         Returns:
             The pose, whose covariance includes the errors of the head's calibration; None if the
-            markers do not fit.
+            markers do not fit, or another pose fits them hardly worse.
         """
-        markers = self.cad.points[target.indices]
-        sight = Sighting(
-            target.image_points, np.broadcast_to(sigma, (len(markers), 3)), self.geometry
-        )
-        seen = self.geometry.points(target.image_points)
-        try:
-            start = kabsch_pose(markers, seen, np.ones(len(markers)))
-            # What errors of the calibration do to the image, markers out of place would do as well.
-            moved = (start.rotation @ self.geometry.calibration_shifts(seen)).reshape(-1, 9)
-            known = KnownPoints(markers, _KNOWN * np.eye(len(moved)) + moved @ moved.T)
-            found = solve(start, known, sight)
-        except RegistrationError:
+        ways: Iterable[Sequence[int]] = [target.indices.tolist()]
+        if len(target.indices) < len(self.cad.points):
+            ways = itertools.permutations(range(len(self.cad.points)), len(target.indices))
+        fits = [fit for way in ways for fit in self._fits(way, target.image_points, sigma)]
+        if not fits:
             return None
-        if found.cost > _MISFIT * (3 * len(markers) - 6):
-            return None
-        return CameraPose(found.pose.transform(), found.covariance)
+        best = min(fits, key=lambda fit: fit.cost)
+        to_target = best.pose.transform()
+        for fit in fits:
+            xi = (fit.pose.transform() * to_target.inv()).as_exp_coords()
+            apart = xi @ np.linalg.solve(best.covariance, xi)
+            if apart > _ELSEWHERE and fit.cost < best.cost + _CLEARLY:
+                return None
+        return CameraPose(to_target, best.covariance)
+
+    def _fits(
+        self, markers: Sequence[int], image_points: FloatArray, sigma: FloatArray
+    ) -> Iterator[PoseSolution]:
+        """Yield the camera's poses that fit markers (M,) at image points (M, 3)."""
+        points = self.cad.points[list(markers)]
+        sight = Sighting(image_points, np.broadcast_to(sigma, (len(points), 3)), self.geometry)
+        seen = self.geometry.points(image_points)
+        start = kabsch_pose(points, seen, np.ones(len(points)))
+        # What errors of the calibration do to the image, markers out of place would do as well.
+        moved = (start.rotation @ self.geometry.calibration_shifts(seen)).reshape(-1, 9)
+        known = KnownPoints(points, _KNOWN * np.eye(len(moved)) + moved @ moved.T)
+        for begin in (start, _mirrored(start, points.mean(axis=0))):
+            try:
+                found = solve(begin, known, sight)
+            except RegistrationError:
+                continue
+            ahead = found.pose.transform().translation[2] > 0.0
+            if ahead and found.cost < _MISFIT * (3 * len(points) - 6):
+                yield found
 
     def fuse(self, camera: CameraPose, points: StereoPoints, excluded: FloatArray) -> int:
         """Fuse the points of a view into the map.
@@ -214,6 +239,25 @@ class SharedMap:
         occupied = self.voxels.states(points) == State.OCCUPIED
         free = self.voxels.probabilities(points) < 0.05  # noqa: PLR2004
         return np.asarray(occupied), np.asarray(free)
+
+
+def _mirrored(pose: Pose, middle: FloatArray) -> Pose:
+    """Return the pose from which a flat target looks alike, but for its perspective.
+
+    Its face is turned as far to the other side of the line of sight. Source: Collins and Bartoli
+    (2014), "Infinitesimal plane-based pose estimation".
+
+    Args:
+        pose: Pose of the camera in the target's frame.
+        middle: (3,) middle of the target [m].
+    """
+    to_target = pose.transform()
+    ray = to_target.translation - middle
+    sight, face = ray / np.linalg.norm(ray), np.array([0.0, 0.0, 1.0])
+    # The camera goes to the other side of the face's normal, about the target's middle.
+    turn, _ = Rotation.align_vectors([2.0 * (face @ sight) * face - sight], [sight])
+    about = RigidTransform.from_translation(middle)
+    return Pose.of(about * RigidTransform.from_rotation(turn) * about.inv() * to_target)
 
 
 @numba.njit(cache=True)
