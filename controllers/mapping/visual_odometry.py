@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.localization import RobotLocalization, tilt_to_level
-from controllers.motion.driving import SkidSteer
+from controllers.motion.driving import SkidSteer, downhill
 from perception.geometry.arrays import FloatArray, ImageArray
 from perception.geometry.se3 import transport_covariance
 from perception.registration.checks import RegistrationError
@@ -40,6 +40,10 @@ _HELD = 0.6  # Slip from which on something holds the rover, and its turns tell 
 _TURNED = 0.05  # Turn of rolling wheels that tells of the turn share [rad].
 _QUICK = 0.6  # Turn share by which turns are counted: a pair too many does no harm.
 _SHARES = (0.1, 1.0)  # Turn shares that skidding can have.
+_SCRUBBED, _ON = 0.3, 0.15
+"""Turn of rolling wheels [rad], and most of their way meanwhile [m], that tell how it slides."""
+_STEEP = 0.04  # Slope that tells it.
+_MOST_SLIDE = 2.0  # Largest slide that scrubbing can bring [m/rad].
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,6 +65,7 @@ class VisualOdometryConfig:
         turn_scatter: Turn share of one turn about that of others: it differs by half on patches of
             other friction, and on slopes.
         least_sigma: Deviation that the turn share keeps: the ground changes.
+        slide_gain: Part of the latest slide that is taken over: it differs from patch to patch.
     """
 
     period: float = 0.01
@@ -75,6 +80,7 @@ class VisualOdometryConfig:
     arm: float = 0.003
     turn_scatter: float = 0.12
     least_sigma: float = 0.05
+    slide_gain: float = 0.3
 
 
 class _Past(NamedTuple):
@@ -131,6 +137,8 @@ class VisualOdometry:
     Attributes:
         covariance: (6, 6) covariance of xi in ``true = from_exp_coords(xi) * pose``, in the frame.
         turn_share: Turn share by the turns seen so far.
+        slide: How far the rover slides downhill as its wheels turn it, by the turns seen so far; as
+            of `SkidSteer` [m/rad].
         distance: Distance driven by the wheels, forward and back [m].
         turned: Angle turned by the wheels, left positive [rad], at a turn share of 0.6 or more.
         slip: Share of the wheels' last way, or of a turn on the spot, that features did not see; 0
@@ -148,7 +156,7 @@ class VisualOdometry:
     ) -> None:
         self._arm, self._config = arm, config or VisualOdometryConfig()
         self._matcher = FeatureMatcher(geometry)
-        self._rolling = dataclasses.replace(steer, turn_share=1.0, turn_sigma=0.0)
+        self._rolling = dataclasses.replace(steer, turn_share=1.0, turn_sigma=0.0, slide=0.0)
         self._information = 1.0 / max(steer.turn_sigma, 1e-3) ** 2
         self._pasts: collections.deque[_Past] = collections.deque()
         self._pose = RigidTransform.identity()
@@ -157,6 +165,7 @@ class VisualOdometry:
         self._known: tuple[_Past, RigidTransform, tuple[RigidTransform, FloatArray]] | None = None
         self._views: collections.deque[_Seen] = collections.deque(maxlen=_VIEWS)
         self.turn_share, self.distance, self.turned = steer.turn_share, 0.0, 0.0
+        self.slide = steer.slide
         self.covariance = np.zeros((6, 6))
         self.seen, self.missed, self.slip = 0, 0, 0.0
 
@@ -271,20 +280,30 @@ class VisualOdometry:
         """Return the tick nearest to a time."""
         return min(self._pasts, key=lambda past: abs(past.time - time))
 
-    def _rolled_since(self, begin: _Past, end: _Past) -> tuple[RigidTransform, float]:
+    def _rolled_since(
+        self, begin: _Past, end: _Past, slide: float | None = None
+    ) -> tuple[RigidTransform, float]:
         """Return the level rover's pose at the end in that at the beginning, by its wheels.
 
         The second number is the angle that rolling wheels turned, left and right [rad].
+
+        Args:
+            begin: Tick at the beginning.
+            end: Tick at the end.
+            slide: How far it slides, as `slide` [m/rad]; None for that.
         """
         between = [past for past in self._pasts if begin.time < past.time <= end.time]
         if not between:
             return RigidTransform.identity(), 0.0
         steps = np.array([past.rolled for past in between])
-        pitch = np.array([past.tilt[0] for past in between])
+        slopes = np.array([downhill(past.tilt) for past in between])
         turns = self.turn_share * steps[:, 1]
         yaw = np.cumsum(turns) - 0.5 * turns
-        flat = steps[:, 0] * np.cos(pitch)
-        place = [-flat @ np.sin(yaw), flat @ np.cos(yaw), steps[:, 0] @ np.sin(pitch)]
+        flat = (self.slide if slide is None else slide) * np.abs(steps[:, 1])[:, None] * slopes
+        flat[:, 1] += steps[:, 0] / np.sqrt(1.0 + slopes[:, 1] ** 2)
+        s, c = np.sin(yaw), np.cos(yaw)
+        rise = -np.sum(flat * slopes)
+        place = [c @ flat[:, 0] - s @ flat[:, 1], s @ flat[:, 0] + c @ flat[:, 1], rise]
         turn = Rotation.from_euler("z", turns.sum())
         return RigidTransform.from_components(place, turn), float(np.abs(steps[:, 1]).sum())
 
@@ -338,6 +357,21 @@ class VisualOdometry:
             self.slip = 1.0 - seen / expected
         if abs(turned) > _TURNED and self.slip < _HELD:
             self._learn_turns(seen, turned)
+        self._learn_slide(before, after, motion)
+
+    def _learn_slide(self, before: _Past, after: _Past, motion: RigidTransform) -> None:
+        """Update the slide by the level rover's motion between two ticks, if it turned on the spot.
+
+        Its wheels may have rolled it back meanwhile.
+        """
+        rolled, angle = self._rolled_since(before, after, slide=0.0)
+        slope = downhill(before.tilt)
+        steep, way = float(np.linalg.norm(slope)), float(np.linalg.norm(rolled.translation))
+        if angle < _SCRUBBED or way > _ON or steep < _STEEP:
+            return
+        slid = float((motion.translation - rolled.translation)[:2] @ slope) / steep
+        latest = min(max(slid / (angle * steep), 0.0), _MOST_SLIDE)
+        self.slide += self._config.slide_gain * (latest - self.slide)
 
     def _learn_turns(self, turned: float, rolled: float) -> None:
         """Update the turn share by a turn that was seen, and that of rolling wheels [rad]."""

@@ -164,7 +164,6 @@ def drive(
             seen, found = yield from _go_on(seen, navigator, on_pair)
             reason = navigator.blocked
         else:
-            navigator.doubt_bumps()
             seen = yield from look_round(seen, navigator)
             reason = "there is no path on what is mapped"
         if found or (navigator.arrived and not reason):
@@ -179,7 +178,7 @@ def drive(
     return Driven(seen, False, f"stuck {_MOST_STALLS} times: {reason}")
 
 
-def drive_straight(
+def drive_along(
     seen: Observation,
     navigator: Navigator,
     arm: SerialChain,

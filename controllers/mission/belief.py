@@ -26,6 +26,7 @@ from twin.robot import Observation, RobotError
 _SLIDING = 0.12
 """Standard deviation of a turn share as drawn. Assumption: loads that differ, rocks and rolling
 friction move it by a quarter."""
+_FRICTION = 0.5  # Friction of the ground as long as nothing is known of it. Assumption.
 _PARTNER = 0.27  # Radius of a disc that holds a rover [m].
 _UNSURE = 0.1  # Most by which a rover's disc is larger where its place is not known well [m].
 _VOXEL = 0.01  # Edge of the map's voxels [m].
@@ -75,7 +76,9 @@ class MissionBelief:
         voxels = VoxelMap(VoxelGrid(_VOXEL, *_BOX))
         panel = SharedMap(voxels, geometry, site.target, config.stereo.stride, config.reach)
         share = drawn_turn_share(robot)
-        steer = SkidSteer.of(robot, share.share, share.deviation)
+        steer = dataclasses.replace(
+            SkidSteer.of(robot, share.share, share.deviation), slide=drawn_slide(robot)
+        )
         navigator = Navigator(
             robot, panel, steer, blind=without == "paths", guarded=without != "guard"
         )
@@ -219,6 +222,21 @@ def drawn_turn_share(robot: RobotDescription) -> TurnShare:
     """
     track, base = robot.half_track**2, robot.half_wheelbase**2
     return TurnShare(track / (track + base), _SLIDING)
+
+
+def drawn_slide(robot: RobotDescription) -> float:
+    """Return the slide of a rover whose tyres all carry and grip alike, as of `SkidSteer` [m/rad].
+
+    While rolling wheels would turn at w, each scrubs at v = w t l / sqrt(t^2 + l^2), with half the
+    track t and the wheelbase l. A slow slide u turns these velocities by as little; over the four
+    tyres that leaves a force of m g mu u / (2 v), which holds the rover on a slope s at
+    u = 2 v s / mu.
+
+    Args:
+        robot: Description of the robot.
+    """
+    track, base = robot.half_track, robot.half_wheelbase
+    return 2.0 * track * base / (_FRICTION * math.hypot(track, base))
 
 
 def tilt_of(seen: Observation, robot: str) -> FloatArray:

@@ -42,16 +42,20 @@ from twin.robot import Command, Observation
 
 _SLIPPED, _SLIPS = 0.8, 3
 """Slip from which on a rover hardly moves, and successive pairs that must show it."""
-_BUMP = 0.1  # Radius of a disc about what held a rover [m].
-_BUMPS = 3  # Bumps that are kept off: what held a rover may be smooth ground uphill.
+_BEFORE, _ON = 2, (0.3, 0.7)
+"""Pairs after which it goes straight on instead, and how far its wheels then go before it steers
+again, and its path [m]: where it slips uphill, what it steers takes what holds it."""
+_BUMP, _BUMPS = 0.1, 3
+"""Radius of what seemed to hold the rover [m], and how many such places are rather gone around: it
+may be but smooth ground uphill."""
+_FINE = 0.003  # Distance up to which points of a path that was not planned are left aside [m].
+_AROUND = 3.0  # Length of a path over the distance from which on it is a long way around.
 _LAST = 0.15  # Length before the end of a path that is driven as it was planned [m].
 _STRAIGHT = 0.24  # Radius about each point of a straight drive that holds the rover [m].
 _TURNING = 0.27  # Radius about a rover that turns in place that holds it [m].
-_SLIDES, _MOST_SLIDE = 0.7, 0.35
-"""How far it slides downhill meanwhile over the slope and the turn [m/rad] at first, and most of
-that which is made room for [m]: wheels that skid 0.2 m a radian hold with the friction left."""
-_LEARNT, _SLOPE = 0.15, 0.04
-"""Least turn [rad] and slope that tell how far it slides."""
+_LEFT, _MOST_SLIDE = 0.5, 0.25
+"""Share of its slide that the wheels do not make up for, as they do ahead and back, and most of
+that which is made room for [m]."""
 _TURNS, _AWAY = 6, 0.3  # Other paths that a rover takes until it has come this far [m].
 _SLIDING = 0.32  # Radius about one that slides as it turns that holds it [m].
 _SLID = 0.05  # Slide of a turn in place that ends it where something is near [m].
@@ -129,6 +133,7 @@ class Navigator:
         localized: Whether the frame is that of the panel.
         received: Elevation map of the other rover, as far as it was received, in the same frame;
             None before. It completes what paths are planned on.
+        hindered: Whether there was no path where it was to drive last, or but a long way around.
         keep_off: Returns discs (M, 3) in the frame that paths keep off beside what is mapped: x, y
             and radius [m].
     """
@@ -157,6 +162,7 @@ class Navigator:
         self.ground = ElevationMap(grid)
         self.localized = False
         self.received: ElevationMap | None = None
+        self.hindered = False
         self._whole = self.ground
         self.keep_off: Callable[[], FloatArray] = lambda: np.zeros((0, 3))
         self._steer = steer
@@ -168,10 +174,9 @@ class Navigator:
         self._start = RigidTransform.identity()
         self._goal: tuple[FloatArray, float | None] | None = None
         self._slips, self._waits, self._slides = 0, False, False
+        self._steers = -math.inf  # Distance by the wheels from which on it steers.
         self._anchor, self._turns = np.zeros(2), 0
-        self._sliding = _SLIDES
-        self._turning: tuple[FloatArray, float] | None = None  # Where it was in a turn in place.
-        self._bumps: list[list[float]] = []
+        self._bumps: list[FloatArray] = []
 
     @property
     def place(self) -> FloatArray:
@@ -184,10 +189,10 @@ class Navigator:
         return float(self.odometry.level_pose().rotation.as_euler("ZXY")[0])
 
     def steer(self) -> SkidSteer:
-        """Return the kinematics of the wheels with the turn share seen so far."""
-        odometry = self.odometry
+        """Return the kinematics of the wheels with the turn share and the slide seen so far."""
+        seen = self.odometry
         return dataclasses.replace(
-            self._steer, turn_share=odometry.turn_share, turn_sigma=odometry.turn_sigma
+            self._steer, turn_share=seen.turn_share, turn_sigma=seen.turn_sigma, slide=seen.slide
         )
 
     def observe(self, seen: Observation) -> None:
@@ -276,7 +281,7 @@ class Navigator:
             moved = self.odometry.level_pose() * before.inv()
             self.ground = self.ground.moved(levelled(moved), self.odometry.covariance)
             self._looks[...] = 0
-            self._bumps = [[*moved.apply([x, y, 0.0])[:2], r] for x, y, r in self._bumps]
+            self._bumps = [np.asarray(moved.apply([*place, 0.0]))[:2] for place in self._bumps]
         self.localized = True
 
     def localization(self) -> RobotLocalization:
@@ -291,7 +296,7 @@ class Navigator:
         """Return the lengths (N,) of the paths to places (N, 2) in the frame [m]; inf for none."""
         if self._blind:
             return np.linalg.norm(places - self.place, axis=1)
-        paths, discs, doubted = self._config.paths, self._discs(), self._doubted()
+        paths, discs, doubted = self._config.paths, self.keep_off(), self._doubted()
         return path_lengths(self._planned(), self.place, places, discs, paths, doubted)
 
     def standing_places(self, room: float | None) -> Callable[[ArrayLike], bool]:
@@ -303,7 +308,7 @@ class Navigator:
         """
         if self._blind:
             return lambda _: True
-        paths, discs, doubted = self._config.paths, self._discs(), self._doubted()
+        paths, discs, doubted = self._config.paths, self.keep_off(), self._doubted()
         return standing_places(self._planned(), self.place, room, discs, paths, doubted)
 
     def high_places(self) -> FloatArray:
@@ -327,7 +332,7 @@ class Navigator:
         """
         if self._blind:
             return np.array([self.place, place])
-        paths, discs, doubted = self._config.paths, self._discs(), self._doubted()
+        paths, discs, doubted = self._config.paths, self.keep_off(), self._doubted()
         return plan_path(self._planned(), self.place, place, discs, paths, kept, doubted)
 
     def unseen(self, path: FloatArray, far: float | None = None) -> FloatArray | None:
@@ -405,23 +410,13 @@ class Navigator:
         x, y, upright = self.odometry.pose().rotation.apply([0.0, 0.0, 1.0])
         return np.array([x, y]) / upright
 
-    def _learn_slide(self) -> None:
-        """Learn from a turn in place how far the rover slides: it hangs on the friction there."""
-        before, self._turning = self._turning, (self.place, self.yaw)
-        if before is None:
-            return
-        turned = abs(math.remainder(self.yaw - before[1], 2.0 * math.pi))
-        slope = float(np.linalg.norm(self._downhill()))
-        if turned < _LEARNT or slope < _SLOPE:
-            return
-        rate = math.dist(self.place, before[0]) / (turned * slope)
-        self._sliding += 0.5 * (min(max(rate, _SLIDES / 2.0), 3.0 * _SLIDES) - self._sliding)
-
     def _slide(self, place: FloatArray, angle: float) -> FloatArray:
-        """Return where a turn in place begins and ends (2, 2), on the slope where the rover is."""
-        downhill = self._sliding * abs(angle) * self._downhill()
-        length = float(np.linalg.norm(downhill))
-        return np.array([place, place + downhill * min(1.0, _MOST_SLIDE / max(length, 1e-9))])
+        """Return how far uphill and downhill a turn leads (2, 2), on the slope where it is."""
+        rate = _LEFT * self.odometry.slide / self.odometry.turn_share
+        slide = rate * abs(angle) * self._downhill()
+        length = max(float(np.linalg.norm(slide)), 1e-9)
+        uphill = min(1.0, self._driving.reach / length)
+        return place + np.array([[-uphill], [min(1.0, _MOST_SLIDE / length)]]) * slide
 
     def _gap(self, path: FloatArray, kept_off: FloatArray | None = None) -> float:
         """Return the distance of a path from discs, or else from all that is kept off [m].
@@ -440,7 +435,7 @@ class Navigator:
         if self._blind:
             return np.zeros((0, 3))
         high = self.high_places()[:, :2]
-        return np.vstack([self._discs(), np.column_stack([high, np.zeros(len(high))])])
+        return np.vstack([self.keep_off(), np.column_stack([high, np.zeros(len(high))])])
 
     def _slides_near(self, pivot: FloatArray) -> bool:
         """Return whether the rover has slid from where it began to turn (1, 2), and is not to.
@@ -451,7 +446,7 @@ class Navigator:
             return False
         if self._unshown_at(self.place) > self._unshown_at(pivot[0]) + _FEW:
             return True
-        return self._gap(self.place[None]) < min(_SLIDING, self._gap(pivot))
+        return self._gap(self.place[None]) < min(_TURNING, self._gap(pivot) - _NO_NEARER)
 
     def set_off(self, place: FloatArray, heading: float | None) -> bool:
         """Begin a drive to a place; return whether there is a path.
@@ -461,9 +456,11 @@ class Navigator:
             heading: Heading at its end, in the frame [rad]; None for any.
         """
         path = self.path_to(place)
+        far = _AROUND * (math.dist(self.place, place) + _LAST)
+        self.hindered = path is None or _length(path) > far
         if path is None:
             return False
-        self.follow(path, heading)
+        self._begin(path, heading, False, self._driving)
         self._goal = place, heading
         return True
 
@@ -475,12 +472,18 @@ class Navigator:
             heading: Heading at its end, in the frame [rad]; None for any.
             backwards: Whether the rover drives backwards.
         """
+        self._begin(path, heading, backwards, dataclasses.replace(self._driving, slack=_FINE))
+
+    def _begin(
+        self, path: FloatArray, heading: float | None, backwards: bool, driving: DrivePathConfig
+    ) -> None:
+        """Begin a drive along a path (N, 2) [m] of the frame."""
         self._goal, self._slips, self._waits, self._slides = None, 0, False, False
-        self._anchor, self._turns, self._turning = self.place, 0, None
+        self._anchor, self._turns = self.place, 0
         self._start = self.odometry.level_pose()
         local = self._in_start(path)
         turn = self._turn(heading)
-        self._drive = DrivePath(self.steer(), local, turn, self._driving, backwards)
+        self._drive = DrivePath(self.steer(), local, turn, driving, backwards)
 
     @property
     def arrived(self) -> bool:
@@ -507,19 +510,21 @@ class Navigator:
 
     @property
     def held(self) -> bool:
-        """Whether something holds the rover, so that its drive makes no progress."""
-        return bool(self.blocked) and not self._slides and self._turns <= _TURNS
+        """Whether something before the rover holds it, so that its drive makes no progress."""
+        if self._drive is None or self._drive.pivot is not None:
+            return False  # Where wheels do not turn it, the ground is steep and smooth.
+        return bool(self.blocked) and self._turns <= _TURNS
 
     def back_off(self, held: bool) -> None:
         """Begin to drive back, or else forward, to where there is more room.
 
         Args:
-            held: Whether something before the rover holds it, which is kept off from then on.
+            held: Whether something before the rover holds it, which is rather gone around then.
         """
         pose = self.odometry.level_pose()
         if held:
             ahead = np.asarray(pose.apply([0.0, self._config.paths.radius + 0.1, 0.0]))[:2]
-            self._bumps = [*self._bumps[1 - _BUMPS :], [*ahead, _BUMP]]
+            self._bumps = [*self._bumps[1 - _BUMPS :], ahead]
         self.halt()
         paths = [_moved(pose, np.array([0.0, way])) for way in _WAYS]
         discs = self._kept_off()
@@ -543,10 +548,6 @@ class Navigator:
             return np.zeros((0, 2))
         return np.vstack([self.place, self._in_frame(self._drive.rest)])
 
-    def doubt_bumps(self) -> None:
-        """No longer keep off what seemed to hold the rover: wheels slip on smooth ground, too."""
-        self._bumps.clear()
-
     def halt(self) -> None:
         """End the drive where the rover is."""
         self._drive = None
@@ -564,16 +565,15 @@ class Navigator:
         here = self._start.inv() * self.odometry.level_pose()
         x, y, _ = here.translation
         self._drive.correct(float(x), float(y), float(here.rotation.as_euler("ZXY")[0]))
-        if self._drive.pivot is None:
-            self._turning = None
-        else:
+        if self._drive.pivot is not None:
             self._slides = self._slides_near(self._in_frame(self._drive.pivot[None]))
-            self._learn_slide()
-        if self._goal is None or self._drive.remaining < _LAST:
+        if self._goal is None or self._drive.remaining < _LAST or self._goes_straight():
             return
         place, heading = self._goal
         kept = self.course
-        path = self.path_to(place, kept)
+        # After it has gone straight on it has no path there.
+        leads = len(kept) > 0 and math.dist(kept[-1], place) < _LAST
+        path = self.path_to(place, kept if leads else None)
         if path is None or self.unseen(path, self._config.ahead[1]) is not None:
             self._waits = True
             self._drive.stop()
@@ -583,11 +583,25 @@ class Navigator:
             self._turns += 1
             self._drive.replan(self._in_start(path), self._turn(heading))
 
+    def _goes_straight(self) -> bool:
+        """Return whether the rover goes straight on, as it slips while it follows its path."""
+        assert self._drive is not None
+        gone = self.odometry.distance
+        if self._slips == _BEFORE and self._drive.pivot is None and gone > self._steers + _ON[1]:
+            straight = _moved(self.odometry.level_pose(), np.array([0.0, _ON[1]]))
+            if self.is_clear(straight):
+                self._slips, self._steers = 0, gone + _ON[0]
+                self._drive.replan(self._in_start(straight))
+        return gone < self._steers
+
     def _doubted(self) -> BoolArray:
-        """Return cells that looks have not shown: hidden, or of something without grain."""
+        """Return cells that looks have not shown, or where something seemed to hold the rover."""
         doubted = (self._looks >= _MOST_LOOKS) & (self._looks < _CLEARED)
         if doubted.any():
             doubted &= ~_filled(self.ground.known)
+        grid, marked = self.ground.grid, doubted.view(np.uint8)
+        for row, column in grid.cells_of(np.array(self._bumps).reshape(-1, 2)).tolist():
+            cv2.circle(marked, (column, row), round(_BUMP / grid.cell), 1, -1)
         return doubted
 
     def _planned(self) -> ElevationMap:
@@ -599,10 +613,6 @@ class Navigator:
         if not np.array_equal(whole.heights, self._whole.heights, equal_nan=True):
             self._whole = whole
         return self._whole
-
-    def _discs(self) -> FloatArray:
-        """Return (M, 3) discs in the frame that paths keep off: x, y and radius [m]."""
-        return np.vstack([self.keep_off(), np.array(self._bumps).reshape(-1, 3)])
 
     def _in_start(self, path: FloatArray) -> FloatArray:
         """Return a path (N, 2) in the frame of the rover's pose at the drive's beginning."""
@@ -645,6 +655,11 @@ def _filled(cells: BoolArray) -> BoolArray:
     square = np.ones((3, 3), np.uint8)
     grown = cv2.dilate(cells.astype(np.uint8), square, iterations=2)
     return np.asarray(cv2.erode(grown, square)).astype(bool)
+
+
+def _length(path: FloatArray) -> float:
+    """Return the length of a path (N, 2) [m]."""
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
 
 
 def _along(path: FloatArray, far: float, step: float) -> FloatArray:

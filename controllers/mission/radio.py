@@ -31,7 +31,7 @@ PATIENCE = 60.0
 """Longest silence for which a rover waits that has done its own part [s]."""
 _KEPT = 32  # Number of messages that are kept until somebody takes them.
 _FORM = struct.Struct(">BBB6h21e")
-_READY, _LOCALIZED, _NEAR, _SIGHTED = 1, 2, 4, 8
+_READY, _LOCALIZED, _NEAR, _SIGHTED, _BLOCKED = 1, 2, 4, 8, 16
 _LENGTH, _ANGLE = 5e-4, 1e-4
 """Steps of the slot's position [m], up to 16 m, and attitude [rad]."""
 _UPPER = np.triu_indices(6)
@@ -60,6 +60,7 @@ class Status:
         slot: Pose of the slot in its frame; None before it is localized.
         near: Whether it searches for the panel near the site.
         sighted: Whether it has sighted the panel from far away.
+        blocked: Whether it has no path to where it wants to go, or but a long way around.
     """
 
     done: int
@@ -67,6 +68,7 @@ class Status:
     slot: SlotPose | None = None
     near: bool = False
     sighted: bool = False
+    blocked: bool = False
 
     def pack(self) -> bytes:
         """Return the message's bytes.
@@ -76,6 +78,7 @@ class Status:
         """
         flags, steps, variances = 0, np.zeros(6), np.zeros(21)
         flags |= _READY * self.ready | _NEAR * self.near | _SIGHTED * self.sighted
+        flags |= _BLOCKED * self.blocked
         if self.slot is not None:
             flags |= _LOCALIZED
             pose = self.slot.transform_slot_to_robot
@@ -111,8 +114,10 @@ class Status:
             covariance[_UPPER] = np.array(numbers[6:]) * 1e-6
             covariance += np.triu(covariance, 1).T
             slot = SlotPose(RigidTransform.from_components(place, turn), covariance)
-        ready, near, sighted = (bool(flags & flag) for flag in (_READY, _NEAR, _SIGHTED))
-        return cls(done, ready, slot, near, sighted)
+        ready, near, sighted, blocked = (
+            bool(flags & flag) for flag in (_READY, _NEAR, _SIGHTED, _BLOCKED)
+        )
+        return cls(done, ready, slot, near, sighted, blocked)
 
 
 class MissionRadio:
@@ -127,6 +132,7 @@ class MissionRadio:
         ready: Whether the rover's arm is where the insertion begins, at rest.
         near: Whether the rover searches for the panel near the site.
         sighted: Whether it has sighted the panel from far away.
+        blocked: Whether it has no path to where it wants to go, or but a long way around.
         partner: Newest status of the other rover.
         bytes_sent: Bytes on the air with their frames, by stage and first byte of the message.
         notices: What a person should know of the radio, in words, each with its time [s].
@@ -134,7 +140,7 @@ class MissionRadio:
 
     def __init__(self, link: Link, partner: str) -> None:
         self.stage, self.partner = "", Status(0)
-        self.ready = self.near = self.sighted = False
+        self.ready = self.near = self.sighted = self.blocked = False
         self.bytes_sent: collections.Counter[tuple[str, int]] = collections.Counter()
         self.notices: list[tuple[float, str]] = []
         self._link, self._name = link, partner
@@ -204,7 +210,7 @@ class MissionRadio:
         """
         time, last = self._told
         if self._now >= time + PERIOD or (done, self.ready) != (last.done, last.ready):
-            status = Status(done, self.ready, slot(), self.near, self.sighted)
+            status = Status(done, self.ready, slot(), self.near, self.sighted, self.blocked)
             try:
                 message = status.pack()
             except RadioError:  # A place out of range is not told; what is done is.

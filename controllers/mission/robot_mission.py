@@ -9,8 +9,11 @@ from controllers.mission.belief import MissionBelief
 from controllers.mission.map_exchange import MapExchange
 from controllers.mission.radio import MissionRadio
 from controllers.mission.stage import MissionStage
+from controllers.mission.stages.give_way import GiveWay
 from controllers.mission.stages.insert import InsertCard
 from twin.robot import Command, Observation
+
+_MOST_WAYS = 4  # Number of times that a rover gives way.
 
 
 class RobotMission:
@@ -42,6 +45,8 @@ class RobotMission:
         self.over = False
         self._number, self._stages = number, stages
         self._maps: MapExchange | None = None
+        self._gives_way: GiveWay | None = None
+        self._ways = 0
         self.stage = next(stages)
 
     @property
@@ -66,10 +71,24 @@ class RobotMission:
             self._end_stage()
         if self.stage.name != InsertCard.name:  # From then on the line is for guidance.
             self._exchange_maps(seen.time)
-        command = self.stage.step(seen)
+        command = self._command(seen)
         radio.stage = self.stage.name
+        radio.blocked = self.belief.navigator.hindered and not self.stage.done
         radio.tell(len(self.ended) + (self.stage.done and not self.over), self.belief.slot_now)
         return command
+
+    def _command(self, seen: Observation) -> Command | None:
+        """Return the command of the stage; a rover that waits may be in the other one's way."""
+        waits = self.stage.done and not self.over and self.belief.localization is not None
+        called = self.radio.partner.blocked and not self.radio.silent
+        if waits and called and self._gives_way is None and self._ways < _MOST_WAYS:
+            self._gives_way = GiveWay(self.belief)
+            self._ways += 1
+        if self._gives_way is None or self._gives_way.done:
+            if not called:
+                self._gives_way = None
+            return self.stage.step(seen)
+        return self._gives_way.step(seen)
 
     def _exchange_maps(self, now: float) -> None:
         """Exchange maps as soon as both rovers are in the panel's frame."""

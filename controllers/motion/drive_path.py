@@ -26,6 +26,7 @@ _BACK, _ON = 0.3, 0.5  # Parts of the path behind and ahead where the rover may 
 _FULL = 0.9  # Share of the wheels' largest speed that is used; the rest is left to their servo.
 _BRAKES = 0.8  # Share of the acceleration with which the rover is to slow down.
 _STALLED = 0.3  # Share of the commanded wheel speeds below which the wheels stall.
+_BLEND = 0.1  # Squared sine of the angle left from which on what is off aside counts less.
 _COMMANDED = 0.2  # Wheel speed below which nothing is said of a stall [rad/s].
 
 
@@ -36,10 +37,13 @@ class DrivePathConfig:
     Attributes:
         speed: Largest speed [m/s].
         turn: Largest turning rate [rad/s].
+        scrub: Largest turning rate that rolling wheels would have [rad/s]: where a slope lets them
+            turn the rover hardly, faster wheels do so no more, but let it slide.
         acceleration: Largest change of the speed [m/s^2]. It tilts what an inclinometer measures by
             its share of gravity: 1.2 degrees.
         hold: Largest speed at which a rover that turns in place rolls back to where it began to
             turn [m/s]: on a slope it slides while it turns, as its wheels then slip.
+        reach: Farthest that it rolls beyond that beforehand, for what it will yet slide [m].
         turn_acceleration: Largest change of the turning rate [rad/s^2].
         slowing: Speed over the distance to the end, and rate of a turn in place over the remaining
             angle [1/s]; wheels that lag behind their command overshoot without it.
@@ -57,8 +61,10 @@ class DrivePathConfig:
 
     speed: float = 0.2
     turn: float = 0.3
+    scrub: float = 0.9
     acceleration: float = 0.2
-    hold: float = 0.06
+    hold: float = 0.08
+    reach: float = 0.05
     turn_acceleration: float = 0.8
     slowing: float = 2.0
     near: tuple[float, float] = (0.005, 0.01)
@@ -66,7 +72,7 @@ class DrivePathConfig:
     ahead: float = 1.25
     corner: float = math.radians(50.0)
     slack: float = 0.025
-    tilts: tuple[float, float] = (math.radians(8.0), math.radians(18.0))
+    tilts: tuple[float, float] = (math.radians(15.0), math.radians(30.0))
     creep: float = 0.25
     patience: float = 2.0
     period: float = 0.01
@@ -238,7 +244,7 @@ class DrivePath(ReckonedDrive):
         self._speed = _towards(self._speed, speed, config.acceleration * tick)
         # What the wheels have left beside the speed; else the speed would be reduced with the turn.
         left = max(steer.most * steer.wheel_radius - abs(self._speed), 0.0)
-        most = min(config.turn, left * steer.turn_share / steer.half_track)
+        most = min(config.turn, steer.turn_share * min(config.scrub, left / steer.half_track))
         self._turn = _towards(
             self._turn, min(max(turn, -most), most), config.turn_acceleration * tick
         )
@@ -250,7 +256,7 @@ class DrivePath(ReckonedDrive):
         if not is_good(seen.wheel_speeds):
             why = "wheel speeds are not measured"
         else:
-            asked = self._steer.wheel_speeds(self._speed, self._turn)
+            asked = self._wheels(self._speed, self._turn)
             measured = np.asarray(seen.wheel_speeds.value, dtype=float)
             if np.abs(asked).max() > _COMMANDED and measured @ asked < _STALLED * (asked @ asked):
                 why = "wheels stall"
@@ -286,7 +292,9 @@ class DrivePath(ReckonedDrive):
             elif abs(left) > config.corner and self._phase is not _Phase.FACE:
                 self._phase, self._pivot = _Phase.FACE, self.place
             if self._phase is _Phase.FACE:
-                return self._roll_back(), turning_rate(left, config.slowing, share * config.turn)
+                return self._roll_back(left), turning_rate(
+                    left, config.slowing, share * config.turn
+                )
             far = max(float(np.linalg.norm(away)), 0.5 * config.lookahead[0])
             curvature = 2.0 * math.sin(left) / far
             speed = self._allowed(share, abs(curvature))
@@ -294,18 +302,33 @@ class DrivePath(ReckonedDrive):
         if self._phase is _Phase.ALIGN:
             left = 0.0 if self._heading is None else wrapped(self._heading - self.yaw)
             if abs(left) > config.near[1]:
-                return self._roll_back(), turning_rate(left, config.slowing, share * config.turn)
+                return self._roll_back(left), turning_rate(
+                    left, config.slowing, share * config.turn
+                )
             self._phase = _Phase.ARRIVED
         return 0.0, 0.0
 
-    def _roll_back(self) -> float:
-        """Return the speed that rolls the rover back to where its turn began."""
-        ahead = np.array([-math.sin(self.yaw), math.cos(self.yaw)])
-        speed, most = (
-            self._config.slowing * float((self._pivot - self.place) @ ahead),
-            self._config.hold,
+    def _roll_back(self, left: float) -> float:
+        """Return the speed that lets a turn end where it began, with what it will yet slide.
+
+        What the rover is off along its heading at the end is made up for then: what is left of it
+        is to be made up for along the present heading.
+
+        Args:
+            left: Angle that is left of the turn [rad].
+        """
+        tilt = self.odometry.tilt
+        aside, ahead = _turned(self._pivot - self.place, -self.yaw) - self._steer.sliding(
+            left, tilt
         )
-        return min(max(speed, -most), most)
+        s, c = math.sin(left), math.cos(left)
+        speed = self._config.slowing * float(ahead + aside * c * s / (s * s + _BLEND))
+        # No farther from there than it has room for.
+        _, gone = _turned(self.place - self._pivot, -self.yaw)
+        if gone * speed > 0.0 and abs(gone) > self._config.reach:
+            speed = 0.0
+        most, slides = self._config.hold, float(self._steer.sliding(self._turn, tilt)[1])
+        return min(max(speed - slides, -most), most) + slides
 
     def _follow(self) -> None:
         """Find the place along the path; at the end of a part begin the next."""

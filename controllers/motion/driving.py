@@ -36,6 +36,8 @@ class SkidSteer:
         turn_share: Turn rate over that of rolling wheels, (v_right - v_left) / track.
         turn_sigma: Standard deviation of `turn_share`.
         most: Largest speed of a wheel [rad/s].
+        slide: How far it slides downhill while rolling wheels would turn it by a radian, over the
+            slope [m/rad]: wheels that scrub hold on a slope with the friction that is left.
     """
 
     wheel_radius: float
@@ -43,6 +45,7 @@ class SkidSteer:
     turn_share: float = 1.0
     turn_sigma: float = 0.0
     most: float = 5.0
+    slide: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse numbers that drive nothing.
@@ -51,7 +54,7 @@ class SkidSteer:
             ValueError: Naming the number and what is valid.
         """
         check_numbers("skid steering", self, "wheel_radius", "half_track", "turn_share", "most")
-        check_numbers("skid steering", self, "turn_sigma", zero=True)
+        check_numbers("skid steering", self, "turn_sigma", "slide", zero=True)
 
     @classmethod
     def of(
@@ -91,6 +94,16 @@ class SkidSteer:
         right = self.wheel_radius * (front_right + rear_right) / 2.0
         turn = self.turn_share * (right - left) / (2.0 * self.half_track)
         return float(left + right) / 2.0, float(turn)
+
+    def sliding(self, turn: float, tilt: ArrayLike) -> FloatArray:
+        """Return the speed (2,) to the right and ahead at which it slides as it turns [m/s].
+
+        Args:
+            turn: Turning rate [rad/s].
+            tilt: (2,) pitch and roll [rad].
+        """
+        rate = self.slide * abs(turn) / self.turn_share
+        return rate * downhill(tilt)
 
 
 class Odometry:
@@ -147,7 +160,10 @@ class Odometry:
         # R = Rz(yaw) Rx(pitch) Ry(roll) turns at (0, 0, turn) in its own axes.
         turn *= math.cos(roll) / ahead
         middle = self.yaw + 0.5 * turn * period
-        step = forward * ahead * period * np.array([-math.sin(middle), math.cos(middle)])
+        aside, on = self._steer.sliding(turn, self.tilt)
+        s, c = math.sin(middle), math.cos(middle)
+        step = period * (forward * ahead + on) * np.array([-s, c])
+        step += period * aside * np.array([c, s])
         turning = turn * period / self._steer.turn_share
         self._slopes[:2] += (self._slopes[2] + 0.5 * turning) * np.array([-step[1], step[0]])
         self._slopes[2] += turning
@@ -209,6 +225,19 @@ class Odometry:
                 [0.0, 0.0, 0.0, 1.0],
             ]
         )
+
+
+def downhill(tilt: ArrayLike) -> FloatArray:
+    """Return the direction (2,) downhill of a tilted rover, to its right and ahead.
+
+    Args:
+        tilt: (2,) pitch and roll [rad].
+
+    Returns:
+        As long as the slope.
+    """
+    pitch, roll = np.asarray(tilt, dtype=float)
+    return np.array([math.tan(roll) / math.cos(pitch), -math.tan(pitch)])
 
 
 def is_good(channel: Channel) -> bool:

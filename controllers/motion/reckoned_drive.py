@@ -42,8 +42,13 @@ class ReckonedDrive:
                 return Command()
             self._held = np.array(seen.arm_angles.value, dtype=float)
         self.odometry.update(seen, self._period)
-        wheels = self._steer.wheel_speeds(*self._motion(seen))
+        wheels = self._wheels(*self._motion(seen))
         return Command(wheels, self._held, WheelMode.SPEED, ArmMode.POSITION, np.zeros(4))
+
+    def _wheels(self, speed: float, turn: float) -> FloatArray:
+        """Return (4,) wheel speeds of a motion, which make up for sliding ahead or back [rad/s]."""
+        _, slides = self._steer.sliding(turn, self.odometry.tilt)
+        return self._steer.wheel_speeds(speed - slides, turn)
 
     def _motion(self, seen: Observation) -> tuple[float, float]:
         """Return the next speed [m/s] and turning rate to the left [rad/s]."""

@@ -2,10 +2,9 @@
 
 The master drives to the best camera station on its map (chapter 4), then the slave to where the
 drawing wants it before the slot. Paths are planned on what is mapped. Where the heading matters,
-the rover drives the last stretch straight ahead or back if there is room for that, as turns on the
-spot move it aside; at its beginning it finds the panel again. Where the arm can make up for the
-heading, the rover arrives as its path leads it. At its place it finds the panel again; if it has
-missed it, it drives anew.
+the rover stops short of its place, finds the panel again, and docks (`docking`). Where the arm can
+make up for the heading, the rover arrives as its path leads it. At its place it finds the panel
+again; if it has missed it, it drives anew.
 """
 
 import math
@@ -20,27 +19,27 @@ from controllers.mission.behaviours import (
     DRIVING,
     Behaviour,
     drive,
-    drive_straight,
+    drive_along,
     following,
     posed,
+    retreat,
 )
 from controllers.mission.belief import MissionBelief
 from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
+from controllers.motion.docking import Leg, curve_to, docking
 from controllers.motion.reckoned_drive import course_along
 from perception.geometry.arrays import FloatArray
 from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
 
 _MOST_DRIVES = 6  # Largest number of drives to the place.
-_STRETCHES = (-0.4, -0.3, 0.4, 0.3)
-"""Where along its heading the last, straight stretch to a place may begin [m]: behind it, or ahead
-of it, from where the rover drives back; the first one with room is taken."""
-_NEAR, _ALONG = 0.3, 0.6  # Distance [m] and heading [rad] of a rover that need only back off.
-_IN_LINE = (0.03, 0.12)
-"""Distance from the line along the heading of its place [m], and turn from it [rad], of a rover
-that need but drive ahead or back on it."""
+_STRETCHES = (-0.5, -0.4, 0.5, 0.4)
+"""Where along its heading the rover may stop short of its place [m]: behind it, or ahead of it,
+from where it drives back; the first one with room is taken."""
+_NEAR, _ALONG = 0.7, 0.9  # Distance [m] and heading [rad] from its place of a rover that docks.
 _ANY_WAY = 0.8  # Tolerance of a heading from which on the rover arrives as its path leads it [rad].
+_NO_NEARER = 0.7  # Share of its distance that is left of a drive that something holds.
 _INNER = 0.2  # How far within its tolerance a heading is that the rover turns to [rad].
 _VIEWS = 8  # Views in which the panel is searched for at the place.
 
@@ -96,56 +95,55 @@ class GoToPlace:
                     f"{1e3 * off:.0f} mm and {math.degrees(turn):.0f} degrees off its place after "
                     f"{_MOST_DRIVES} drives{why}",
                 )
+            before, _ = self._off()
             seen = yield from self._go(seen)
             self.stops += 1
             seen = yield from self._look(seen)
+            after, _ = self._off()
+            if not self._reason and self._near[0] < after and after > _NO_NEARER * before:
+                self._reason = "it gets no nearer"
+                seen = yield from retreat(seen, self._navigator, held=True)
         return seen
 
     def _go(self, seen: Observation) -> Behaviour:
-        """Drive to the place once, its last stretch straight along its heading if there is room."""
+        """Drive to the place once; dock if there is room for that."""
         if self._reason:
             self.place, self._reason = self._choose(), ""
-        navigator, (off, turn) = self._navigator, self._off()
         if self._near[1] >= _ANY_WAY:
             return (yield from self._drive(seen, *self._as_led()))
-        near = off < _NEAR and turn < _ALONG
-        stretch, (place, heading) = self._stretch(near), self._goal()
-        if near and turn < _IN_LINE[1] and self._aside() < _IN_LINE[0]:
-            stretch = None
-        if stretch is None and not near:
-            return (yield from self._drive(seen, place, heading))
-        if stretch is None:
-            return (yield from self._straight(seen, np.array([navigator.place, place]), heading))
-        begin = place + stretch * _ahead(heading)
-        if near:
-            seen = yield from self._straight(seen, np.array([navigator.place, begin]), heading)
-        else:
-            seen = yield from self._drive(seen, begin, heading)
-            if self._reason:
+        (place, heading), (off, turn) = self._goal(), self._off()
+        if off > _NEAR or turn > _ALONG:
+            stretch = self._stretch()
+            seen = yield from self._drive(seen, place + (stretch or 0.0) * _ahead(heading), heading)
+            if self._reason or stretch is None:
                 return seen
-        seen = yield from self._look(seen)
-        place, heading = self._goal()
-        last = np.array([place + stretch * _ahead(heading), place])
-        return (yield from self._straight(seen, last, heading))
+            seen = yield from self._look(seen)
+        return (yield from self._dock(seen))
 
-    def _straight(self, seen: Observation, path: FloatArray, heading: float) -> Behaviour:
-        """Drive along a short path (2, 2) [m] of the frame, forward or back as it lies."""
-        backwards = float((path[1] - path[0]) @ _ahead(heading)) < 0.0
-        return (
-            yield from drive_straight(seen, self._navigator, self._arm, path, heading, backwards)
-        )
+    def _dock(self, seen: Observation) -> Behaviour:
+        """Drive the last way to the place, as `docking` finds it; else along a planned path."""
+        navigator, (place, heading) = self._navigator, self._goal()
+        legs = docking([*navigator.place, navigator.yaw], [*place, heading], self._is_free)
+        if not legs:
+            return (yield from self._drive(seen, place, heading))
+        if len(legs) > 1:
+            seen = yield from drive_along(seen, navigator, self._arm, *legs[0])
+            legs = [curve_to([*navigator.place, navigator.yaw], [*place, heading])]
+        return (yield from drive_along(seen, navigator, self._arm, *legs[0]))
 
-    def _stretch(self, near: bool) -> float | None:
-        """Return where along the heading the last stretch begins [m], negative behind the place.
+    def _is_free(self, leg: Leg) -> bool:
+        """Return whether nothing stands in a part of the way, and it was seen if driven back."""
+        if not self._navigator.is_clear(leg.path):
+            return False
+        return not leg.backwards or self._navigator.unseen(leg.path, math.inf) is None
 
-        Args:
-            near: Whether the rover is so near that it gets there straight.
-        """
+    def _stretch(self) -> float | None:
+        """Return where along the heading the rover stops short [m], negative behind the place."""
         place, heading = self._goal()
         for stretch in _STRETCHES:
             begin = place + stretch * _ahead(heading)
-            if self._navigator.is_clear(np.array([begin, place])) and (
-                near or np.isfinite(self._navigator.lengths_to(begin[None])[0])
+            if self._navigator.is_clear(np.array([begin, place])) and np.isfinite(
+                self._navigator.lengths_to(begin[None])[0]
             ):
                 return stretch
         return None
@@ -185,11 +183,6 @@ class GoToPlace:
             self._arm_base(*pose) for pose in ((place, heading), (navigator.place, navigator.yaw))
         )
         return math.dist(there, here), abs(turn)
-
-    def _aside(self) -> float:
-        """Return how far the rover is from the line along the heading of its place [m]."""
-        place, heading = self._goal()
-        return abs(float((self._navigator.place - place) @ _ahead(heading - 0.5 * math.pi)))
 
     def _arm_base(self, place: FloatArray, heading: float) -> FloatArray:
         """Return where the base of the arm is (2,) of a rover at a place (2,) [m] and heading."""

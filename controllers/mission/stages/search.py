@@ -117,6 +117,7 @@ class SearchPanel:
                 continue
             if view.rate < _LEAST and retreats < _MOST_RETREATS:
                 retreats += 1
+                navigator.hindered = True
                 seen = yield from look_round(seen, navigator)
                 seen = yield from retreat(seen, navigator, held=False)
                 continue
@@ -125,7 +126,9 @@ class SearchPanel:
             if np.any(view.place != places[0]):
                 goal = (view.place, None)
                 driven = yield from drive(seen, navigator, self._arm, goal, self._glimpse, True)
-                seen, wanted = driven.seen, view.place[None][: driven.stopped]
+                # It goes on to what it has decided on, unless something is in the way.
+                goes_on = driven.stopped and not driven.reason
+                seen, wanted = driven.seen, view.place[None][:goes_on]
                 if self._glimpsed is None:
                     # Time passes before another decision.
                     if not (driven.arrived or driven.stopped):
@@ -162,7 +165,7 @@ class SearchPanel:
     def _gives_way(self) -> bool:
         """Return whether both rovers are near the panel, and the other one drives.
 
-        That is the one that has sighted it; of two alike the first.
+        That is the one that has a path, or has sighted it; of two alike the first.
         """
         assert self.search is not None
         radio, here = self._radio, self._navigator.place
@@ -170,7 +173,8 @@ class SearchPanel:
         radio.sighted = self.search.sighted
         if radio.silent or not (radio.near and radio.partner.near):
             return False
-        return (radio.sighted, self._first) < (radio.partner.sighted, not self._first)
+        mine = not radio.blocked, radio.sighted, self._first
+        return mine < (not radio.partner.blocked, radio.partner.sighted, not self._first)
 
     def _partner(self) -> FloatArray:
         """Return the disc (1, 3) of the other rover in the ground frame [m]; none if unknown."""

@@ -1,5 +1,6 @@
 """Visual odometry against closed forms; its features are replaced by motions made by hand."""
 
+import collections
 import math
 import typing
 
@@ -128,6 +129,43 @@ def test_on_other_ground_the_turn_share_is_learnt_anew_however_long_the_first_wa
             odometry.see(time - 0.01, IMAGE, POINTS)
         assert odometry.turn_share == pytest.approx(share, abs=0.04)
         assert odometry.turn_sigma > VisualOdometryConfig().turn_scatter
+
+
+@pytest.mark.parametrize(("pitch", "roll"), [(0.1, 0.0), (-0.08, 0.0), (0.0, 0.1), (0.05, -0.09)])
+@pytest.mark.parametrize("slide", [0.3, 1.2])
+def test_turns_on_a_slope_tell_how_far_the_rover_slides(pitch, roll, slide):
+    odometry, matcher = rover(share=0.5)
+    odometry._views = collections.deque(maxlen=1)  # pyright: ignore
+    time = drive(odometry, 0.0, 0.0, 0.1, tilt=(pitch, roll))
+    odometry.see(time, IMAGE, POINTS)
+    tilted = Rotation.from_euler("XY", [pitch, roll])
+    x, y, up = tilted.apply([0.0, 0.0, 1.0])
+    slid = slide * 0.4 * np.array([x, y]) / up
+    for turn in (0.2, -0.2) * 12:
+        # Seen in the tilted rover; it does not turn, so that its tilt stays.
+        matcher.motions.append(
+            camera_motion(odometry, RigidTransform.from_translation(tilted.inv().apply([*slid, 0])))
+        )
+        time = drive(odometry, 0.0, turn, 2.0, time, (pitch, roll))
+        odometry.see(time - 0.01, IMAGE, POINTS)
+    assert odometry.slide == pytest.approx(slide, rel=0.1)
+    # The wheels alone tell as much from now on.
+    before = odometry.level_pose().translation[:2]
+    drive(odometry, 0.0, 0.2, 2.0, time, (pitch, roll))
+    moved = odometry.level_pose().translation[:2] - before
+    assert np.linalg.norm(moved) == pytest.approx(np.linalg.norm(slid), rel=0.1)
+
+
+def test_what_slips_on_a_straight_way_is_no_slide():
+    odometry, matcher = rover()
+    time = drive(odometry, 0.0, 0.0, 0.1, tilt=(0.15, 0.0))
+    odometry.see(time, IMAGE, POINTS)
+    for _ in range(6):
+        ahead = RigidTransform.from_translation([0.0, 0.2, 0.0])
+        matcher.motions.append(camera_motion(odometry, ahead))
+        time = drive(odometry, 0.1, 0.3, 3.0, time, (0.15, 0.0))
+        odometry.see(time - 0.01, IMAGE, POINTS)
+    assert odometry.slide == 0.0
 
 
 def test_a_rover_back_at_an_earlier_view_has_not_slipped():

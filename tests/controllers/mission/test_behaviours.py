@@ -10,7 +10,7 @@ from controllers.mission.behaviours import (
     DRIVING,
     LOOKING,
     drive,
-    drive_straight,
+    drive_along,
     faced,
     posed,
     retreat,
@@ -87,9 +87,6 @@ class HandNavigator:
     def halt(self):
         self.calls.append("halt")
         self._left = 0
-
-    def doubt_bumps(self):
-        self.calls.append("doubt")
 
     def back_off(self, held):
         self.calls.append("back off" if held else "retreat")
@@ -189,7 +186,7 @@ def test_a_straight_drive_looks_ahead_but_not_where_it_came_from():
     for backwards, looks in ((False, 1), (True, 0)):
         navigator = HandNavigator(unseen=[[0.0, 0.6, -0.06]])
         path = np.array([[0.0, 0.0], [0.0, 0.4]])
-        play(drive_straight(first(), navigator, ARM, path, 0.0, backwards))
+        play(drive_along(first(), navigator, ARM, path, 0.0, backwards))
         assert navigator.calls[0] == ("back" if backwards else "straight")
         assert navigator.looks == looks
 
@@ -213,7 +210,6 @@ def test_without_a_path_the_rover_looks_on_all_sides_and_moves_a_little_before_i
     driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
     assert not driven.arrived and "no path" in driven.reason
     assert navigator.calls.count("set off") == navigator.calls.count("retreat") == 4
-    assert navigator.calls.count("doubt") == 4
     turns = [posture[0] for posture in navigator.postures if abs(posture[2] - LOOKING[2]) < 1e-6]
     assert len(turns) == 4 * 7 and np.diff(sorted(set(turns))).max() < 0.9
 

@@ -18,7 +18,7 @@ class GoBy(GoToPlace):
     def _goal(self):
         return np.array(self.place[:2]), self.place[2]
 
-    def _stretch(self, near):
+    def _stretch(self):
         return None
 
     def _look(self, seen):
@@ -88,11 +88,11 @@ def test_where_the_heading_matters_little_the_rover_turns_no_more_than_it_has_to
     [
         ((0.01, 0.15, 0.05), 1),  # in line: ahead
         ((0.01, -0.15, 0.05), 1),  # in line: back
-        ((0.06, 0.15, 0.05), 2),  # aside: to the begin of a stretch first
+        ((0.06, 0.15, 0.05), 2),  # aside: straight first, to where a curve leads there
         ((0.01, 0.15, 0.30), 2),  # turned
     ],
 )
-def test_a_rover_in_line_with_its_place_drives_straight_there(monkeypatch, place, ways):
+def test_a_rover_near_its_place_docks(monkeypatch, place, ways):
     belief = belief_of(SLAVE)
     belief.navigator.observe(seen_at(0.0))
     went = []
@@ -105,10 +105,31 @@ def test_a_rover_in_line_with_its_place_drives_straight_there(monkeypatch, place
         return seen
         yield
 
-    monkeypatch.setattr(go_to, "drive_straight", straight)
-    monkeypatch.setattr(GoBy, "_stretch", lambda *_: -0.4)
+    monkeypatch.setattr(go_to, "drive_along", straight)
+    monkeypatch.setattr(belief.navigator, "unseen", lambda path, far: None)
     stage = GoBy("approach", belief, lambda: place, (0.035, 0.06))
     stage.step(seen_at(0.01))
     assert stage.done and len(went) == ways
     np.testing.assert_allclose(went[-1][0], place[:2])
-    assert went[0][1] == (place[1] < 0.0 or ways == 2)
+    assert went[-1][1] == (place[1] < 0.0) or ways == 2
+
+
+def test_a_drive_that_gets_no_nearer_is_held_and_the_place_chosen_anew(monkeypatch):
+    belief = belief_of(SLAVE)
+    belief.navigator.observe(seen_at(0.0))
+    held, places = [], iter([(0.5, 0.5, 0.0), (0.0, 0.0, 0.0)])
+
+    def drive(seen, navigator, arm, goal):
+        return Driven(seen, True)
+        yield
+
+    def retreat(seen, navigator, **why):
+        held.append(why["held"])
+        return seen
+        yield
+
+    monkeypatch.setattr(go_to, "drive", drive)
+    monkeypatch.setattr(go_to, "retreat", retreat)
+    stage = GoBy("place", belief, lambda: next(places), (0.06, 1.8))
+    stage.step(seen_at(0.01))
+    assert stage.done and stage.place == (0.0, 0.0, 0.0) and held == [True]

@@ -134,25 +134,25 @@ def test_paths_lead_around_what_is_mapped_unless_the_navigator_is_blind():
 
 @pytest.mark.parametrize("without", ["", "guard"])
 def test_drives_are_slow_where_it_is_steep_and_end_where_it_is_too_steep_unless_unguarded(without):
-    """At 13 degrees, half way between both limits, five eighths of the speed are left."""
+    """At 22.5 degrees, half way between both limits, five eighths of the speed are left."""
     flat, inclined, steep = (
-        Rolling(without, (math.radians(tilt), 0.0)) for tilt in (0.0, 13.0, 25.0)
+        Rolling(without, (math.radians(tilt), 0.0)) for tilt in (0.0, 22.5, 35.0)
     )
     for rover in (flat, inclined, steep):
         assert rover.navigator.set_off(np.array([0.0, 1.0]), None)
         places = rover.drive(3.0)
         rover.speed = np.ptp(places[-50:, 1]) / 0.49
     # A level metre is longer on a slope.
-    share = inclined.speed / math.cos(math.radians(13.0)) / flat.speed
+    share = inclined.speed / math.cos(math.radians(22.5)) / flat.speed
     assert share == pytest.approx(1.0 if without else 0.625, abs=0.01)
     steep.tilt = np.zeros(2)
     steep.drive(3.5)
-    steep.tilt = np.array([math.radians(25.0), 0.0])
+    steep.tilt = np.array([math.radians(35.0), 0.0])
     steep.drive(10.0)
-    assert steep.navigator.blocked == ("" if without else "tilted beyond 18 degrees")
+    assert steep.navigator.blocked == ("" if without else "tilted beyond 30 degrees")
 
 
-def test_a_place_on_an_obstacle_has_no_path_and_one_behind_it_a_longer_one():
+def test_a_place_on_an_obstacle_has_hindered_and_one_behind_it_a_longer_one():
     rover = Rolling()
     put_box(rover.navigator, 0.0, 1.0)
     lengths = rover.navigator.lengths_to(np.array([[0.0, 1.0], [0.0, 2.0], [1.0, 0.0]]))
@@ -163,7 +163,7 @@ def test_a_place_on_an_obstacle_has_no_path_and_one_behind_it_a_longer_one():
     assert len(high) and np.abs(high[:, :2] - [0.0, 1.0]).max() < 0.12
 
 
-def test_what_held_a_rover_is_kept_off_after_it_backed_off():
+def test_what_held_a_rover_is_rather_gone_around_after_it_backed_off():
     rover = Rolling()
     put_box(rover.navigator, 5.0, 5.0)
     assert rover.navigator.set_off(np.array([0.0, 2.0]), None)
@@ -175,11 +175,11 @@ def test_what_held_a_rover_is_kept_off_after_it_backed_off():
     ahead = [0.0, NavigatorConfig().paths.radius + 0.1]
     assert np.linalg.norm(places - ahead, axis=1).min() > 0.3
     assert math.dist(places[-1], (0.0, 2.0)) < 0.05
-    back = np.array([0.0, -0.2])
-    around = rover.navigator.lengths_to(back[None])[0]
-    rover.navigator.doubt_bumps()
-    straight = rover.navigator.lengths_to(back[None])[0]
-    assert straight == pytest.approx(2.2, abs=0.06) and straight < around
+    # Where there is no other way, it is tried once more.
+    for x in (-0.7, 0.7):
+        put_box_on(rover.navigator, x, ahead[1], half=0.3)
+    lengths = rover.navigator.lengths_to(np.array([[0.0, -0.2]]))
+    assert 3.0 < lengths[0] < 12.0
 
 
 def test_a_rover_backs_off_where_there_is_room_for_that():
@@ -297,7 +297,7 @@ def test_a_turn_on_a_slope_needs_room_downhill():
     """Nose up by 9 degrees, downhill is behind it."""
     for pitch, box, angle, free in (
         (0.15, -0.40, 1.5, False),
-        (0.15, 0.40, 1.5, True),
+        (0.15, 0.45, 1.5, True),
         (0.15, -0.40, 0.2, True),
         (0.0, -0.40, 1.5, True),
         (-0.15, 0.40, 1.5, False),
@@ -308,41 +308,45 @@ def test_a_turn_on_a_slope_needs_room_downhill():
         assert rover.navigator.may_turn(-angle) == free
 
 
-@pytest.mark.parametrize(("slid", "free"), [(0.02, True), (0.15, False)])
-def test_what_a_turn_slides_on_smooth_ground_makes_the_next_one_need_more_room(slid, free):
+@pytest.mark.parametrize(("slide", "free"), [(0.2, True), (1.5, False)])
+def test_a_rover_that_has_slid_far_needs_more_room_to_turn(slide, free):
     """Nose up by 6 degrees; what is to be kept off stands 0.4 m behind."""
     rover = Rolling(tilt=(0.1, 0.0))
-    put_box(rover.navigator, 5.0, 5.0)
-    rover.navigator.follow(np.zeros((1, 2)), 2.0)
-    odometry = rover.navigator.odometry
-    for part in range(4):
-        for _ in range(80):
-            rover.wheels = np.array(rover.navigator.step(rover.seen).wheels)
-            rover.seen = rover.tick()
-        if part:
-            moved = RigidTransform.from_translation([0.0, -slid * 0.25, 0.0])
-            odometry._pose = moved * odometry.pose()  # pyright: ignore
-            odometry._at = odometry._pasts[-1]  # pyright: ignore
-        rover.navigator.correct()
-    assert not rover.navigator.blocked
-    (x, y), yaw = rover.navigator.place, rover.navigator.yaw
-    put_box_on(rover.navigator, x + 0.45 * math.sin(yaw), y - 0.45 * math.cos(yaw), half=0.05)
+    put_box(rover.navigator, 0.0, -0.45)
+    rover.navigator.odometry.slide = slide
     assert rover.navigator.may_turn(1.3) == free
 
 
-def test_what_a_rover_drives_between_two_turns_is_no_slide():
-    rover = Rolling(tilt=(0.1, 0.0))
+def test_a_rover_that_slips_on_its_path_goes_straight_on_before_it_steers_again():
+    rover = Rolling()
     put_box(rover.navigator, 5.0, 5.0)
-    odometry = rover.navigator.odometry
-    for heading in (0.8, 1.6):
-        rover.navigator.follow(rover.navigator.place[None], heading)
-        for _ in range(2):
-            for _ in range(100):
-                rover.wheels = np.array(rover.navigator.step(rover.seen).wheels)
-                rover.seen = rover.tick()
-            rover.navigator.correct()
-        learnt = rover.navigator._sliding  # pyright: ignore
-        # It drives elsewhere, and turns again there.
-        odometry._pose = RigidTransform.from_translation([0.5, 0.0, 0.0]) * odometry.pose()  # pyright: ignore
-        odometry._at = odometry._pasts[-1]  # pyright: ignore
-    assert learnt < 0.7
+    navigator = rover.navigator
+    assert navigator.set_off(np.array([1.2, 2.0]), None)
+    for _ in range(400):
+        rover.wheels = np.array(navigator.step(rover.seen).wheels)
+        rover.seen = rover.tick()
+    navigator._slips = 2  # pyright: ignore
+    navigator.correct()
+    yaw, place = navigator.yaw, navigator.place
+    assert not navigator.blocked
+    ahead = navigator.course[-1] - place
+    assert math.atan2(-ahead[0], ahead[1]) == pytest.approx(yaw, abs=0.01)
+    assert np.linalg.norm(ahead) == pytest.approx(0.7, abs=0.01)
+    while not navigator.arrived and rover.time < 60.0:
+        rover.wheels = np.array(navigator.step(rover.seen).wheels)
+        rover.seen = rover.tick()
+        if round(100.0 * rover.time) % 100 == 0:
+            navigator.correct()
+    assert math.dist(navigator.place, (1.2, 2.0)) < 0.04
+
+
+def test_a_rover_that_slips_before_something_does_not_go_straight_on():
+    rover = Rolling()
+    put_box(rover.navigator, 0.0, 0.45)
+    assert rover.navigator.set_off(np.array([1.0, 0.0]), None)
+    for _ in range(50):
+        rover.wheels = np.array(rover.navigator.step(rover.seen).wheels)
+        rover.seen = rover.tick()
+    rover.navigator._drive._phase = type(rover.navigator._drive._phase).FOLLOW  # pyright: ignore
+    rover.navigator._slips = 3  # pyright: ignore
+    assert rover.navigator.blocked and rover.navigator.held

@@ -8,11 +8,12 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mapping.localization import tilt_to_level
-from controllers.mission.belief import drawn_turn_share
+from controllers.mission.belief import drawn_slide, drawn_turn_share
+from controllers.motion.drive_path import DrivePath
 from controllers.motion.driving import Odometry, SkidSteer, TurnShareDrive, identify_turn_share
 from experiments.ch5.insertion_identify import identify_slip
 from models.compose import RobotPlacement, settle
-from tests.models.scenes import make_scene
+from tests.models.scenes import PLAIN, make_scene
 from twin.describe import describe_rover
 from twin.robot import MISSING, ArmMode, Channel, Command, Observation, Validity, WheelMode
 from twin.simulation import Simulation
@@ -221,6 +222,48 @@ def test_mujocos_rover_on_a_slope_is_where_its_odometry_is(bearing, turn):
     own = Rotation.from_euler("z", odometry.yaw).apply(error, inverse=True)
     twist, covariance = np.array([yaw, *own]), odometry.covariance()[2:, 2:]
     assert twist @ np.linalg.solve(covariance, twist) < 18.47  # 99.9 % of 4 degrees of freedom
+
+
+def test_mujocos_rover_that_turns_on_a_slope_slides_as_drawn():
+    """To a third, on friction of 0.5, over all headings: its load is not in its middle."""
+    slope, slid, rolled = math.tan(math.radians(6.0)), 0.0, 0.0
+    for bearing in (0.0, 90.0, 180.0, 270.0):
+        placement = RobotPlacement(ROBOT, yaw=math.radians(bearing), stereo=False)
+        field = dataclasses.replace(PLAIN, friction=0.5, slope=(0.0, math.atan(slope)))
+        scene = make_scene(placement, field=field)
+        simulation = Simulation(scene.model, [ROBOT], seed=5, data=scene.start())
+        robot, chassis = simulation.robots[ROBOT], simulation.data.body(f"{ROBOT}/chassis")
+        robot.activate()
+        held, begin = np.array(robot.observe().arm_angles.value), float(chassis.xpos[1])
+        for tick in range(400):
+            turn = 0.25 if tick < 200 else -0.25  # Left and right, so that its heading stays.
+            rolled += abs(ROLLING.motion(robot.observe().wheel_speeds.value)[1]) * PERIOD
+            wheels = ROLLING.wheel_speeds(0.0, turn)
+            robot.command(Command(wheels, held, WheelMode.SPEED, ArmMode.POSITION))
+            simulation.tick()
+        slid += begin - float(chassis.xpos[1])
+        simulation.close()
+    assert slid / (rolled * slope) == pytest.approx(drawn_slide(describe_rover(ROBOT)), rel=0.4)
+
+
+@pytest.mark.parametrize("tilt", [(0.12, 0.0), (0.0, 0.1), (-0.05, 0.08)])
+def test_what_slides_is_reckoned_and_made_up_for_ahead(tilt):
+    """Downhill by the slope that the plane of the axes has."""
+    steer = dataclasses.replace(STEER, slide=0.5)
+    odometry, upright = Odometry(steer), Rotation.from_euler("XY", tilt).apply([0.0, 0.0, 1.0])
+    for _ in range(100):
+        odometry.update(driving(steer.wheel_speeds(0.0, 0.3), *tilt), PERIOD)
+    turned = 0.3 * 100 * PERIOD
+    far = 0.5 * turned / steer.turn_share * np.hypot(*upright[:2]) / upright[2]
+    assert np.linalg.norm(odometry.place) == pytest.approx(far, rel=0.03)
+    half = Rotation.from_euler("z", 0.5 * turned).apply(upright)[:2]
+    assert odometry.place @ half / (far * np.linalg.norm(half)) == pytest.approx(1.0, abs=0.03)
+    drive = DrivePath(steer, [(0.0, 0.0)], 0.3)
+    wheels = drive._wheels(0.0, 0.3)  # pyright: ignore
+    np.testing.assert_allclose(wheels, steer.wheel_speeds(0.0, 0.3))  # No tilt is known yet.
+    drive.odometry.update(driving(np.zeros(4), *tilt), PERIOD)
+    ahead, _ = steer.motion(drive._wheels(0.0, 0.3))  # pyright: ignore
+    assert ahead == pytest.approx(0.5 * 0.3 / steer.turn_share * math.tan(tilt[0]))
 
 
 def test_what_the_height_is_known_to_grows_with_distance_and_slope():
