@@ -10,6 +10,7 @@ import dataclasses
 import math
 from typing import NamedTuple
 
+import cv2
 import numba
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -18,6 +19,9 @@ from perception.geometry.arrays import BoolArray, FloatArray, IntArray
 
 _LINE = 0.05, 0.93  # Parts of a line of sight between which the ground may hide its end.
 _UNLIKELY = 0.02  # Odds of a place over those of the mean one below which it is not looked at.
+_AROUND = 0.11  # Half the side of the square about a place in which something of it stands [m].
+_BELOW = 0.1  # Height below its middle that something of a target reaches [m].
+_KNOWN = 0.6  # Share of that square that must be mapped to tell that nothing stands there.
 _LEAST = 1e-6  # Odds below which a target is not where it seems to be.
 
 
@@ -36,6 +40,7 @@ class PanelSearchConfig:
         passed: The same of one on the way: images are blurred, and one pair follows the other so
             soon that they miss it for the same reason.
         opaque: Odds that something unmapped hides the target.
+        empty: Odds that a target stands where the map shows nothing but ground.
         same: Distance within which a camera sees what it saw before [m].
         view_time: Time that a view from the present place takes [s].
         speed: Speed of a drive [m/s] along what its path costs: about twice its length.
@@ -59,6 +64,7 @@ class PanelSearchConfig:
     missed: float = 0.1
     passed: float = 0.7
     opaque: float = 0.15
+    empty: float = 0.02
     same: float = 0.3
     view_time: float = 4.0
     speed: float = 0.2
@@ -106,6 +112,21 @@ class Ground(NamedTuple):
     def hidden(self, eye: FloatArray, points: FloatArray) -> BoolArray:
         """Return (N,), whether the mapped ground hides points (N, 3) [m] from an eye (3,) [m]."""
         return _hidden(self.heights, self.corner, self.cell, eye, np.atleast_2d(points))
+
+    def empty(self, points: FloatArray) -> BoolArray:
+        """Return (N,), whether nothing mapped reaches up to points (N, 3) [m] about their feet."""
+        side = 2 * round(_AROUND / self.cell) + 1
+        known = np.isfinite(self.heights)
+        highest = cv2.dilate(np.where(known, self.heights, -1e3), np.ones((side, side)))
+        share = cv2.blur(known.astype(np.float64), (side, side), borderType=cv2.BORDER_CONSTANT)
+        columns, rows = np.floor((points[:, :2] - self.corner) / self.cell).astype(int).T
+        inside = (rows >= 0) & (rows < known.shape[0]) & (columns >= 0) & (columns < known.shape[1])
+        empty = np.zeros(len(points), bool)
+        at = rows[inside], columns[inside]
+        empty[inside] = (np.asarray(share)[at] > _KNOWN) & (
+            np.asarray(highest)[at] < points[inside, 2]
+        )
+        return empty
 
 
 @numba.njit(cache=True)
@@ -167,6 +188,7 @@ class PanelSearch:
         self.hiding = np.zeros((0, 3))
         self._eye = np.full(2, np.inf)  # From where views were taken last, and what they showed.
         self._tried = np.zeros(len(self.places), bool)
+        self._empty = np.zeros(len(self.places), bool)  # Places where nothing stands.
         self._spot: FloatArray | None = None  # Where it was sighted last.
         # Discs of the site and what they made likely, until the next view.
         self._found: tuple[FloatArray, FloatArray] | None = None
@@ -251,6 +273,18 @@ class PanelSearch:
         self._found = None
         self.views += 1
 
+    def stands(self, ground: Ground) -> None:
+        """Take note of where the map shows that no target stands.
+
+        Args:
+            ground: What is mapped of the ground.
+        """
+        empty = ground.empty(self.places - [0.0, 0.0, _BELOW]) & ~self._empty
+        self._empty |= empty
+        self.weights *= np.where(empty, self._config.empty, 1.0)
+        self.weights /= self.weights.sum()
+        self._found = None
+
     def in_sight(self, eye: FloatArray, ground: Ground) -> FloatArray:
         """Return the places (M, 3) at which the target, even far away, shows itself [m].
 
@@ -285,7 +319,7 @@ class PanelSearch:
         self.weights *= (1.0 - c.sighted) / max(self.weights.sum(), _LEAST)
         self.weights[self._seen] = c.sighted / len(self._seen)
         self.weights /= self.weights.sum()
-        self._tried[self._seen] = False
+        self._tried[self._seen] = self._empty[self._seen] = False
         self._spot = place[:2]
         self._found = None
 

@@ -107,6 +107,7 @@ class SearchPanel:
         retreats, wanted = 0, np.zeros((0, 2))
         while seen.time < begun + _PATIENCE:
             self._settle(search)
+            search.stands(navigator.sight_lines())
             waits = self._gives_way()
             search.hiding = self._partner()
             places, lengths, heights = self._viewpoints(search, wanted, 0 if waits else _VIEWPOINTS)

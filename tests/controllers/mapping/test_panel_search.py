@@ -71,6 +71,28 @@ def test_a_wall_on_the_map_hides_what_stands_behind_it_and_below_its_edge():
     np.testing.assert_allclose(search.weights, 0.5)
 
 
+def test_where_the_map_shows_bare_ground_no_target_stands():
+    heights = np.full((100, 100), np.nan)
+    heights[40:60, 50:90] = 0.0  # y from -0.5 to 0.5, x from 0 to 2
+    heights[48:52, 72:76] = 0.25  # about (1.2, 0)
+    ground = Ground(heights, np.array([-2.5, -2.5]), 0.05)
+    places = (
+        [0.5, 0.0, 0.2],  # bare
+        [1.2, 0.0, 0.2],  # where something stands
+        [1.1, 0.1, 0.2],  # beside it
+        [-1.0, 0.0, 0.2],  # unknown
+        [9.0, 0.0, 0.2],  # beyond the map
+        [1.8, 0.0, 0.05],  # so low that it would not stand out
+    )
+    search = search_of(*places)
+    for _ in range(2):  # It is told once.
+        search.stands(ground)
+        left = np.array([CONFIG.empty, 1.0, 1.0, 1.0, 1.0, 1.0])
+        np.testing.assert_allclose(search.weights, left / left.sum())
+    search.sight(cloud_of(places[0]))
+    assert search.weights.sum() == pytest.approx(1.0)
+
+
 def test_the_best_view_is_the_one_with_most_chance_a_second():
     cluster = [1.2, 0.0, 0.2]
     search = search_of(*([cluster] * 9), [-1.2, 0.0, 0.2])

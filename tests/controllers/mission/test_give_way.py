@@ -64,7 +64,7 @@ class Done:
         return None
 
 
-def test_a_rover_that_has_done_its_part_gives_way_once_the_other_one_has_hindered(goals):
+def test_a_rover_that_has_done_its_part_gives_way_once_the_other_one_has_no_path(goals):
     links = hand_links()
     part = RobotMission(
         mapped(localized(SLAVE)), MissionRadio(links[0], MASTER), 2, iter([Done(), Done()])

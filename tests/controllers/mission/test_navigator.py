@@ -152,7 +152,7 @@ def test_drives_are_slow_where_it_is_steep_and_end_where_it_is_too_steep_unless_
     assert steep.navigator.blocked == ("" if without else "tilted beyond 30 degrees")
 
 
-def test_a_place_on_an_obstacle_has_hindered_and_one_behind_it_a_longer_one():
+def test_a_place_on_an_obstacle_has_no_path_and_one_behind_it_a_longer_one():
     rover = Rolling()
     put_box(rover.navigator, 0.0, 1.0)
     lengths = rover.navigator.lengths_to(np.array([[0.0, 1.0], [0.0, 2.0], [1.0, 0.0]]))
