@@ -35,7 +35,7 @@ _OTHER_POSTURE = 0.02  # Change of a joint from which on its errors count [rad].
 _STANDING = 2e-5  # Motion of rolling wheels in a tick below which the rover stands [m, rad].
 _STILL = 1e-4  # Motion below which a rover has not moved since its last pair [m, rad].
 _ROLLED = 0.1  # Way of the wheels that tells of slip [m].
-_PIVOTED = 0.1  # Turn on the spot that tells of slip [rad].
+_PIVOTED = 0.1  # Turn that tells of slip [rad].
 _HELD = 0.6  # Slip from which on something holds the rover, and its turns tell nothing.
 _TURNED = 0.05  # Turn of rolling wheels that tells of the turn share [rad].
 _QUICK = 0.6  # Turn share by which turns are counted: a pair too many does no harm.
@@ -141,8 +141,8 @@ class VisualOdometry:
             of `SkidSteer` [m/rad].
         distance: Distance driven by the wheels, forward and back [m].
         turned: Angle turned by the wheels, left positive [rad], at a turn share of 0.6 or more.
-        slip: Share of the wheels' last way, or of a turn on the spot, that features did not see; 0
-            where they saw nothing.
+        slip: Share of the wheels' last way, or turn, that features did not see, the smaller of
+            both; 0 where they saw nothing.
         seen: Number of motions that features gave.
         missed: Number of motions for which the wheels stood in.
     """
@@ -346,15 +346,18 @@ class VisualOdometry:
         tool = self._arm.tool_in_robot(before.angles)
         begin = levelled(view.transform_camera_to_frame * tool.inv())
         motion = begin.inv() * levelled(pose)
-        rolled, _ = self._rolled_since(before, after)
+        rolled, _ = self._rolled_since(before, after, slide=0.0)
         way = float(np.linalg.norm(rolled.translation))
-        if way > _ROLLED:
-            self.slip = 1.0 - float(np.linalg.norm(motion.translation)) / way
         steps = [p.rolled[1] for p in self._pasts if before.time < p.time <= after.time]
         turned, seen = float(np.sum(steps)), float(motion.rotation.as_euler("ZXY")[0])
         expected = self.turn_share * turned
-        if way <= _ROLLED and abs(expected) > _PIVOTED:
-            self.slip = 1.0 - seen / expected
+        slips = []
+        if way > _ROLLED:
+            slips.append(1.0 - float(np.linalg.norm(motion.translation)) / way)
+        if abs(expected) > _PIVOTED:
+            slips.append(1.0 - seen / expected)
+        # One that turns may roll but to stay where it is.
+        self.slip = min(slips, default=0.0)
         if abs(turned) > _TURNED and self.slip < _HELD:
             self._learn_turns(seen, turned)
         self._learn_slide(before, after, motion)
