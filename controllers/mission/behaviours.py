@@ -94,9 +94,7 @@ def faced(
     seen = yield from posed(seen, navigator, DRIVING)
     seen = yield from _with_room(seen, navigator, turn)
     navigator.follow(navigator.place[None], navigator.yaw + turn)
-    seen, _ = yield from _go_on(seen, navigator, _any)
-    navigator.halt()
-    return seen
+    return (yield from finished(seen, navigator))
 
 
 def look_round(seen: Observation, navigator: Navigator) -> Behaviour:
@@ -202,6 +200,16 @@ def drive_along(
     else:
         seen, _ = yield from _look_along(seen, navigator, arm, lambda: path, _any)
     navigator.follow(path, heading, backwards)
+    return (yield from finished(seen, navigator))
+
+
+def finished(seen: Observation, navigator: Navigator) -> Behaviour:
+    """Drive until a drive that has begun ends, wherever that is.
+
+    Args:
+        seen: Latest observation.
+        navigator: Localization, map and drive of the rover.
+    """
     seen, _ = yield from _go_on(seen, navigator, _any)
     navigator.halt()
     return seen

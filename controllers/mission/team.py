@@ -31,7 +31,7 @@ STAGES = ("identify", "search", "map", "place", "approach", "insert")
 _ROOMS = (0.12, 0.02, None)
 """Room about the camera station that is wanted, and what is content with if there is none [m]: a
 rover slides as it turns there."""
-_NEAR_SLOT, _NEAR_STATION = (0.035, 0.06), (0.06, 1.8)
+_NEAR_SLOT, _NEAR_STATION = (0.04, 0.07), (0.06, 1.8)
 """Tolerances of both rovers' places: distance [m] and heading [rad]. The arm makes up for the
 heading of the one that watches."""
 

@@ -20,6 +20,7 @@ from controllers.mission.behaviours import (
     Behaviour,
     drive,
     drive_along,
+    finished,
     following,
     posed,
     retreat,
@@ -33,7 +34,8 @@ from perception.geometry.arrays import FloatArray
 from perception.registration.target import possible_markers
 from twin.robot import Command, Observation
 
-_MOST_DRIVES = 6  # Largest number of drives to the place.
+_MOST_DRIVES = 10  # Largest number of drives to the place.
+_MOST_TURNS = 3  # Largest number of turns to its heading at the end of one.
 _STRETCHES = (-0.5, -0.4, 0.5, 0.4)
 """Where along its heading the rover may stop short of its place [m]: behind it, or ahead of it,
 from where it drives back; the first one with room is taken."""
@@ -100,7 +102,8 @@ class GoToPlace:
             self.stops += 1
             seen = yield from self._look(seen)
             after, _ = self._off()
-            if not self._reason and self._near[0] < after and after > _NO_NEARER * before:
+            docks = self._near[1] < _ANY_WAY
+            if not (docks or self._reason) and after > max(self._near[0], _NO_NEARER * before):
                 self._reason = "it gets no nearer"
                 seen = yield from retreat(seen, self._navigator, held=True)
         return seen
@@ -129,7 +132,17 @@ class GoToPlace:
         if len(legs) > 1:
             seen = yield from drive_along(seen, navigator, self._arm, *legs[0])
             legs = [curve_to([*navigator.place, navigator.yaw], [*place, heading])]
-        return (yield from drive_along(seen, navigator, self._arm, *legs[0]))
+        seen = yield from drive_along(seen, navigator, self._arm, *legs[0])
+        # Wheels tell small turns badly: the head tells what is left.
+        for _ in range(_MOST_TURNS):
+            seen = yield from posed(seen, navigator, DRIVING)
+            navigator.take(seen, at_rest=True)
+            off, turn = self._off()
+            if off > self._near[0] or turn < 0.5 * self._near[1]:
+                break
+            navigator.follow(navigator.place[None], heading)
+            seen = yield from finished(seen, navigator)
+        return seen
 
     def _is_free(self, leg: Leg) -> bool:
         """Return whether nothing stands in a part of the way, and it was seen if driven back."""

@@ -30,7 +30,7 @@ def stage_with(monkeypatch, arrives, heading=0.0, near=(0.05, 0.1)):
     """Return a stage whose drives arrive or not, and places and headings that they went to."""
     belief = belief_of(SLAVE)
     belief.navigator.observe(seen_at(0.0))
-    went, places = [], iter([(x, 0.0, heading) for x in range(2, 9)])
+    went, places = [], iter([(x, 0.0, heading) for x in range(2, 13)])
 
     def drive(seen, navigator, arm, goal):
         went.append((float(goal[0][0]), goal[1]))
@@ -54,9 +54,9 @@ def test_after_a_drive_that_failed_the_place_is_chosen_anew(monkeypatch):
 
 def test_drives_that_all_fail_end_the_stage_with_the_reason(monkeypatch):
     stage, went = stage_with(monkeypatch, lambda count: False)
-    with pytest.raises(StageError, match="6 drives: there is no path"):
+    with pytest.raises(StageError, match="10 drives: there is no path"):
         stage.step(seen_at(0.01))
-    assert [place for place, _ in went] == [2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
+    assert [place for place, _ in went] == list(np.arange(2.0, 12.0))
 
 
 @pytest.mark.parametrize("heading", [-0.9, -2.4, 0.0, 2.5])
@@ -76,7 +76,7 @@ def test_where_the_heading_matters_little_the_rover_turns_no_more_than_it_has_to
         stage.step(seen_at(0.01))
         assert stage.done and went == [first]
         return
-    with pytest.raises(StageError, match="degrees off its place after 6 drives"):
+    with pytest.raises(StageError, match="degrees off its place after 10 drives"):
         stage.step(seen_at(0.01))
     # Where it stands at last, it can but turn.
     assert went[0] == first
@@ -105,7 +105,14 @@ def test_a_rover_near_its_place_docks(monkeypatch, place, ways):
         return seen
         yield
 
+    def at_once(seen, *_):
+        return seen
+        yield
+
     monkeypatch.setattr(go_to, "drive_along", straight)
+    monkeypatch.setattr(go_to, "posed", at_once)
+    monkeypatch.setattr(go_to, "finished", at_once)
+    monkeypatch.setattr(belief.navigator, "take", lambda seen, at_rest: None)
     monkeypatch.setattr(belief.navigator, "unseen", lambda path, far: None)
     stage = GoBy("approach", belief, lambda: place, (0.035, 0.06))
     stage.step(seen_at(0.01))
@@ -133,3 +140,42 @@ def test_a_drive_that_gets_no_nearer_is_held_and_the_place_chosen_anew(monkeypat
     stage = GoBy("place", belief, lambda: next(places), (0.06, 1.8))
     stage.step(seen_at(0.01))
     assert stage.done and stage.place == (0.0, 0.0, 0.0) and held == [True]
+
+
+@pytest.mark.parametrize(("off", "turns"), [(0.02, 0), (0.2, 1), (0.38, 2)])
+def test_a_rover_that_has_docked_turns_until_its_head_sees_it_in_its_heading(
+    monkeypatch, off, turns
+):
+    """Each turn makes up for 0.18 rad."""
+    belief = belief_of(SLAVE)
+    navigator = belief.navigator
+    navigator.observe(seen_at(0.0))
+    headings, left = [], [off]
+
+    def be(heading):
+        turn = Rotation.from_euler("z", heading)
+        navigator.odometry._pose = RigidTransform.from_components([0.0, 0.3, 0.0], turn)
+
+    def along(seen, *_):
+        be(left[0])
+        return seen
+        yield
+
+    def finished(seen, *_):
+        left[0] -= 0.18
+        be(left[0])
+        return seen
+        yield
+
+    def at_once(seen, *_):
+        return seen
+        yield
+
+    monkeypatch.setattr(go_to, "drive_along", along)
+    monkeypatch.setattr(go_to, "posed", at_once)
+    monkeypatch.setattr(go_to, "finished", finished)
+    monkeypatch.setattr(navigator, "take", lambda seen, at_rest: None)
+    monkeypatch.setattr(navigator, "follow", lambda path, heading: headings.append(heading))
+    stage = GoBy("approach", belief, lambda: (0.0, 0.3, 0.0), (0.1, 0.07))
+    stage.step(seen_at(0.01))
+    assert stage.done and headings == [0.0] * turns
