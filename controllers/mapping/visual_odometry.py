@@ -35,7 +35,9 @@ _OTHER_POSTURE = 0.02  # Change of a joint from which on its errors count [rad].
 _STANDING = 2e-5  # Motion of rolling wheels in a tick below which the rover stands [m, rad].
 _STILL = 1e-4  # Motion below which a rover has not moved since its last pair [m, rad].
 _ROLLED = 0.1  # Way of the wheels that tells of slip [m].
-_PIVOTED = 0.1  # Turn that tells of slip [rad].
+_PIVOTED, _SPOT = 0.2, 0.12
+"""Turn of rolling wheels on the spot that tells of slip [rad], and their way over that turn up to
+which it is one [m/rad]."""
 _HELD = 0.6  # Slip from which on something holds the rover, and its turns tell nothing.
 _TURNED = 0.05  # Turn of rolling wheels that tells of the turn share [rad].
 _QUICK = 0.6  # Turn share by which turns are counted: a pair too many does no harm.
@@ -141,8 +143,8 @@ class VisualOdometry:
             of `SkidSteer` [m/rad].
         distance: Distance driven by the wheels, forward and back [m].
         turned: Angle turned by the wheels, left positive [rad], at a turn share of 0.6 or more.
-        slip: Share of the wheels' last way, or turn, that features did not see, the smaller of
-            both; 0 where they saw nothing.
+        slip: Share of the wheels' last way, or of a turn on the spot with the drawn turn share,
+            that features did not see; 0 where they saw nothing.
         seen: Number of motions that features gave.
         missed: Number of motions for which the wheels stood in.
     """
@@ -165,7 +167,7 @@ class VisualOdometry:
         self._known: tuple[_Past, RigidTransform, tuple[RigidTransform, FloatArray]] | None = None
         self._views: collections.deque[_Seen] = collections.deque(maxlen=_VIEWS)
         self.turn_share, self.distance, self.turned = steer.turn_share, 0.0, 0.0
-        self.slide = steer.slide
+        self.slide, self._drawn_share = steer.slide, steer.turn_share
         self.covariance = np.zeros((6, 6))
         self.seen, self.missed, self.slip = 0, 0, 0.0
 
@@ -346,18 +348,16 @@ class VisualOdometry:
         tool = self._arm.tool_in_robot(before.angles)
         begin = levelled(view.transform_camera_to_frame * tool.inv())
         motion = begin.inv() * levelled(pose)
-        rolled, _ = self._rolled_since(before, after, slide=0.0)
+        rolled, angle = self._rolled_since(before, after, slide=0.0)
         way = float(np.linalg.norm(rolled.translation))
         steps = [p.rolled[1] for p in self._pasts if before.time < p.time <= after.time]
         turned, seen = float(np.sum(steps)), float(motion.rotation.as_euler("ZXY")[0])
-        expected = self.turn_share * turned
-        slips = []
-        if way > _ROLLED:
-            slips.append(1.0 - float(np.linalg.norm(motion.translation)) / way)
-        if abs(expected) > _PIVOTED:
-            slips.append(1.0 - seen / expected)
-        # One that turns may roll but to stay where it is.
-        self.slip = min(slips, default=0.0)
+        # One that turns on the spot may roll, but to stay there.
+        if way < _SPOT * angle:
+            if abs(turned) > _PIVOTED:
+                self.slip = 1.0 - seen / (self._drawn_share * turned)
+        elif way > _ROLLED:
+            self.slip = 1.0 - float(np.linalg.norm(motion.translation)) / way
         if abs(turned) > _TURNED and self.slip < _HELD:
             self._learn_turns(seen, turned)
         self._learn_slide(before, after, motion)

@@ -67,6 +67,9 @@ _WAYS = np.array([-0.25, 0.25, -0.5, 0.5, -0.75, 0.75, -0.125, 0.125])
 _USUAL = 1.0  # Turn that follows after it has backed off [rad].
 _ROOM = 0.4  # Radius about its end that is enough [m].
 _LONGER = 0.1  # Room that is worth a way longer by a metre [m].
+_SAME, _ELSEWHERE = 0.4, 0.5
+"""Distance within which a rover backs off from the same place again [m], and room that is worth
+getting away from there by a metre then [m]."""
 _CLEAR = 0.4  # Radius of the ground about where it is dropped that nothing stands on [m].
 _SEEN = 0.24  # Radius about each point of a path of the ground that must have been seen [m].
 _LOOKED_AT = 0.2  # Radius of the ground that a look is for [m].
@@ -177,6 +180,7 @@ class Navigator:
         self._steers = -math.inf  # Distance by the wheels from which on it steers.
         self._anchor, self._turns = np.zeros(2), 0
         self._bumps: list[FloatArray] = []
+        self._backed = np.full(2, np.inf)  # From where it backed off last.
 
     @property
     def place(self) -> FloatArray:
@@ -537,7 +541,10 @@ class Navigator:
         most = self._unshown_at(self.place) + _FEW
         free &= np.array([self._unshown_at(path[1]) <= most for path in paths])
         if free.any():
-            worth = np.minimum(ends, _ROOM) - _LONGER * np.maximum(np.abs(_WAYS), _BACK)
+            again = math.dist(self._backed, self.place) < _SAME
+            self._backed = self.place
+            longer = -_ELSEWHERE if again else _LONGER
+            worth = np.minimum(ends, _ROOM) - longer * np.maximum(np.abs(_WAYS), _BACK)
             best = int(np.argmax(np.where(free, worth, -math.inf)))
             self.follow(paths[best], None, backwards=_WAYS[best] < 0.0)
 

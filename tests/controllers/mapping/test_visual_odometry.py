@@ -117,6 +117,21 @@ def test_wheels_that_turn_while_the_rover_stays_slip_and_tell_nothing_of_turns(f
     assert odometry.turn_share == 0.5
 
 
+@pytest.mark.parametrize(("kept", "slip"), [(0.5, 0.0), (0.25, 0.5), (0.0, 1.0)])
+def test_a_turn_on_the_spot_slips_by_what_it_lacks_of_the_drawn_one_though_it_rolls_meanwhile(
+    kept, slip
+):
+    odometry, matcher = rover(share=0.5)
+    time = drive(odometry, 0.0, 0.0, 0.1)
+    odometry.see(time, IMAGE, POINTS)
+    for _ in range(4):
+        turn = Rotation.from_euler("z", kept * 0.9 * 1.5)
+        matcher.motions.append(camera_motion(odometry, RigidTransform.from_rotation(turn)))
+        time = drive(odometry, 0.08, 0.9, 1.5, time)  # It slides back as far as it rolls.
+        odometry.see(time - 0.01, IMAGE, POINTS)
+        assert odometry.slip == pytest.approx(slip, abs=0.02)
+
+
 def test_on_other_ground_the_turn_share_is_learnt_anew_however_long_the_first_was():
     odometry, matcher = rover(share=0.5)
     time = drive(odometry, 0.0, 0.0, 0.1)

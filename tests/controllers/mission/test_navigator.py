@@ -350,3 +350,15 @@ def test_a_rover_that_slips_before_something_does_not_go_straight_on():
     rover.navigator._drive._phase = type(rover.navigator._drive._phase).FOLLOW  # pyright: ignore
     rover.navigator._slips = 3  # pyright: ignore
     assert rover.navigator.blocked and rover.navigator.held
+
+
+def test_a_rover_that_backs_off_again_from_the_same_place_goes_farther():
+    rover = Rolling()
+    put_box(rover.navigator, 5.0, 5.0)
+    for expected in (-0.25, -0.75):
+        rover.navigator.back_off(held=False)
+        rover.drive(rover.time + 10.0)
+        assert rover.navigator.place[1] == pytest.approx(expected, abs=0.03)
+        back = RigidTransform.identity()  # It has slid to where it was.
+        rover.navigator.odometry._pose = back  # pyright: ignore
+        rover.navigator.odometry._at = rover.navigator.odometry._pasts[-1]  # pyright: ignore
