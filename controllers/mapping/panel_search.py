@@ -173,7 +173,8 @@ class PanelSearch:
         places: (N, 3) possible middles of the target's face [m]; their heights may be updated.
         weights: (N,) odds of each place; they sum to 1.
         views: Number of views without the target.
-        near: Whether a sighted target is to be seen from near to be known well enough.
+        near: Whether a sighted target is to be seen from near to be known well enough; a view from
+            far may have told that it is.
         hiding: (K, 3) discs of the site that hide what is behind them, as another robot does: x, y
             and radius [m], in its ground frame.
     """
@@ -184,7 +185,7 @@ class PanelSearch:
         self._config = config or PanelSearchConfig()
         self.weights = np.full(len(self.places), 1.0 / len(self.places))
         self.views = 0
-        self.near = True
+        self.near = False
         self.hiding = np.zeros((0, 3))
         self._eye = np.full(2, np.inf)  # From where views were taken last, and what they showed.
         self._tried = np.zeros(len(self.places), bool)

@@ -14,6 +14,7 @@ from controllers.mission.stages.insert import InsertCard
 from twin.robot import Command, Observation
 
 _MOST_WAYS = 4  # Number of times that a rover gives way.
+_TAKEN = "place"  # Stage after which it does so no more: one of both has taken its place.
 
 
 class RobotMission:
@@ -79,7 +80,8 @@ class RobotMission:
 
     def _command(self, seen: Observation) -> Command | None:
         """Return the command of the stage; a rover that waits may be in the other one's way."""
-        waits = self.stage.done and not self.over and self.belief.localization is not None
+        localized = self.belief.localization is not None
+        waits = self.stage.done and localized and _TAKEN not in self.ended
         called = self.radio.partner.blocked and not self.radio.silent
         if waits and called and self._gives_way is None and self._ways < _MOST_WAYS:
             self._gives_way = GiveWay(self.belief)

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import camera_arm
+from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.localization import CameraPose, RobotLocalization
 from controllers.mapping.panel_search import (
     Cloud,
@@ -31,6 +32,7 @@ from controllers.mission.behaviours import (
     retreat,
 )
 from controllers.mission.belief import MissionBelief
+from controllers.mission.navigator import Navigator
 from controllers.mission.radio import MissionRadio
 from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
@@ -50,6 +52,9 @@ _NEAR = 3.0  # Distance from the panel within which both rovers do not drive at 
 _APART = (0.5, 0.4)
 """Distance [m] and turn [rad] after which a pair on the way is searched for a panel far away:
 that takes 0.1 s."""
+_MAPPED = 1.6  # Distance from the slot up to which the site is mapped from where the rover is [m].
+_BEFORE, _BEARINGS = (1.0, 1.3), 24
+"""Distances from the slot [m], and number of directions, of places that the site is mapped from."""
 _PLANE_CELLS = 400  # Mapped cells from which on they tell the slope of the field.
 
 
@@ -63,8 +68,7 @@ class SearchPanel:
         belief: Estimates of the rover; gets its localization.
         radio: The rover's end of the radio.
         first: Whether the rover drives where both are near the panel and have or have not sighted
-            it; else it gives way. Only the first maps the site from where it is localized: the
-            other is content with a view from far that tells its attitude.
+            it; else it gives way. The first also comes near the site, to map it.
         rng: Random generator for possible places and for viewpoints.
 
     Attributes:
@@ -102,7 +106,6 @@ class SearchPanel:
         begun = seen.time
         seen = yield from posed(seen, navigator, DRIVING)
         search = self.search = self._possible_places()
-        search.near = self._first
         navigator.keep_off = lambda: search.likely_discs(self._belief.discs())
         retreats, wanted = 0, np.zeros((0, 2))
         while seen.time < begun + _PATIENCE:
@@ -141,27 +144,46 @@ class SearchPanel:
                 local = navigator.odometry.pose().apply(view.target, inverse=True)
                 seen = yield from faced(seen, navigator, self._arm, local)
                 panel = navigator.odometry.pose().apply(view.target, inverse=True)
-            seen = yield from posed(seen, navigator, aim(self._arm, panel, DRIVING))
+            seen = yield from _at(seen, navigator, self._arm, panel)
             self._glimpsed = None
             found = navigator.take(seen, at_rest=True)
             known = search.sighted
             sighted = None if found is not None else self._sight(seen)
-            if sighted is not None and self._is_enough(sighted):
+            if sighted is not None and _is_enough(sighted):
                 found = self._localized(seen, sighted)
             if found is not None:
                 self._belief.localize(found)
-                return seen
+                return (yield from self._come_near(seen)) if self._first else seen
             if sighted is None or (known and search.near):  # Then it was to be localized.
                 self._miss(seen, view)
             search.near |= sighted is not None
         raise StageError(self.name, f"the panel was not found in {_PATIENCE:.0f} s")
 
-    def _is_enough(self, sighted: CameraPose) -> bool:
-        """Return whether a sighting localizes the rover: for the first one, from near alone."""
-        if not self._first:
-            return _tells_attitude(sighted)
-        away = np.linalg.norm(sighted.transform_camera_to_world.translation)
-        return bool(away < PanelSearchConfig().reach[1])
+    def _come_near(self, seen: Observation) -> Behaviour:
+        """Drive to where the site can be mapped from; find the panel again if it shows itself."""
+        belief, navigator = self._belief, self._navigator
+        slot = np.asarray(belief.transform_ground_to_map.translation)[:2]
+        if math.dist(navigator.place, slot) < _MAPPED:
+            return seen
+        bearings = np.linspace(-math.pi, math.pi, _BEARINGS, endpoint=False)
+        around = np.column_stack([np.cos(bearings), np.sin(bearings)])
+        places = np.vstack([slot + far * around for far in _BEFORE])
+        lengths = navigator.lengths_to(places)
+        if not np.isfinite(lengths).any():
+            return seen
+        goal = places[np.argmin(lengths)], None
+        seen = (yield from drive(seen, navigator, self._arm, goal)).seen
+        to_map = belief.map.transform_target_to_world
+        assert to_map is not None
+        for look in (faced, _at):
+            panel = navigator.odometry.pose().apply(to_map.translation, inverse=True)
+            seen = yield from look(seen, navigator, self._arm, panel)
+        found = navigator.take(seen, at_rest=True)
+        if found is None:
+            belief.stay()
+        else:
+            belief.localize(found)
+        return seen
 
     def _gives_way(self) -> bool:
         """Return whether both rovers are near the panel, and the other one drives.
@@ -310,9 +332,16 @@ class SearchPanel:
         return places, np.array([0.0, *lengths[near]]), _above(self._plane(), places) + eye
 
 
-def _tells_attitude(camera: CameraPose) -> bool:
-    """Return whether a camera's attitude to the panel is known well."""
-    return math.sqrt(np.linalg.eigvalsh(camera.covariance[:3, :3]).max()) < _ATTITUDE
+def _at(seen: Observation, navigator: Navigator, arm: SerialChain, point: FloatArray) -> Behaviour:
+    """Look at a point (3,) in the rover's frame [m]."""
+    return (yield from posed(seen, navigator, aim(arm, point, DRIVING)))
+
+
+def _is_enough(camera: CameraPose) -> bool:
+    """Return whether a sighting localizes the rover: from near, or where it tells the attitude."""
+    near = np.linalg.norm(camera.transform_camera_to_world.translation)
+    worst = math.sqrt(np.linalg.eigvalsh(camera.covariance[:3, :3]).max())
+    return bool(near < PanelSearchConfig().reach[1] or worst < _ATTITUDE)
 
 
 def _above(plane: FloatArray, places: FloatArray) -> FloatArray:

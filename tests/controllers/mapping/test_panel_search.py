@@ -175,6 +175,8 @@ def test_what_was_sighted_far_away_is_to_be_seen_from_near():
     here = np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY
     assert search.best(*here).rate > 0.0
     search.sight(cloud_of([far, 0.0, 0.2]))
+    assert search.best(*here).rate > 0.0
+    search.near = True  # What the view told is not enough.
     assert search.best(*here).rate == 0.0
     places = search.draw_places(50, np.random.default_rng(0))
     assert np.linalg.norm(places - [far, 0.0], axis=1).max() < CONFIG.reach[1]

@@ -81,6 +81,18 @@ def test_a_rover_that_has_done_its_part_gives_way_once_the_other_one_has_no_path
     assert len(goals) == 2
 
 
+def test_a_rover_that_has_taken_its_place_stays(goals):
+    links = hand_links()
+    part = RobotMission(
+        mapped(localized(SLAVE)), MissionRadio(links[0], MASTER), 2, iter([Done(), Done()])
+    )
+    part.ended.append("place")
+    links[1].send(Status(0, blocked=True).pack())
+    for tick in range(3):
+        part.step(seen_at(2.0 + 0.01 * tick))
+    assert not goals
+
+
 def test_a_rover_without_a_path_tells_it_until_it_has_one():
     links = hand_links()
     belief = mapped(localized(SLAVE))

@@ -6,9 +6,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mapping.localization import CameraPose
 from controllers.mapping.panel_search import Cloud
+from controllers.mission.behaviours import Driven
 from controllers.mission.radio import MissionRadio, Status
-from controllers.mission.stages.search import SearchPanel, _tells_attitude  # pyright: ignore
-from tests.controllers.mission.hand_made import SITE, SLAVE, belief_of, hand_links
+from controllers.mission.stages import search
+from controllers.mission.stages.search import SearchPanel, _is_enough  # pyright: ignore
+from tests.controllers.mission.hand_made import (
+    MASTER,
+    SITE,
+    SLAVE,
+    belief_of,
+    hand_links,
+    localized,
+)
 from tests.controllers.motion.seen import seen_at
 
 
@@ -70,7 +79,8 @@ def test_a_far_view_tells_the_attitude_where_its_worst_axis_does():
     for worst, tells in ((0.010, True), (0.015, False)):
         covariance = np.zeros((6, 6))
         covariance[:3, :3] = axes @ np.diag(np.square([0.001, worst, 0.002])) @ axes.T
-        assert _tells_attitude(CameraPose(RigidTransform.identity(), covariance)) == tells
+        far = RigidTransform.from_translation([0.0, 0.0, 3.0])
+        assert _is_enough(CameraPose(far, covariance)) == tells
 
 
 def test_places_of_a_panel_seen_from_far_scatter_as_its_pose_does():
@@ -95,14 +105,45 @@ def test_places_of_a_panel_seen_from_far_scatter_as_its_pose_does():
     np.testing.assert_allclose(origins.mean(axis=0), expected, atol=0.02)
 
 
-def test_a_sighting_localizes_the_first_rover_from_near_and_the_other_by_its_attitude():
-    for first, distance, turn, enough in (
-        (True, 1.8, 0.05, True),
-        (True, 2.0, 0.005, False),
-        (False, 1.8, 0.05, False),
-        (False, 2.0, 0.005, True),
+def test_a_sighting_localizes_a_rover_from_near_or_where_it_tells_the_attitude():
+    for distance, turn, enough in (
+        (1.8, 0.05, True),
+        (2.0, 0.05, False),
+        (3.0, 0.005, True),
     ):
-        stage = SearchPanel(belief_of(SLAVE), radio_of(), first, np.random.default_rng(3))
         away = RigidTransform.from_translation([0.0, 0.0, distance])
         covariance = np.diag([turn**2] * 3 + [1e-6] * 3)
-        assert stage._is_enough(CameraPose(away, covariance)) == enough
+        assert _is_enough(CameraPose(away, covariance)) == enough
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_a_rover_that_is_to_map_the_site_comes_near_it(monkeypatch, far):
+    belief = localized(MASTER)
+    navigator = belief.navigator
+    slot = np.asarray(belief.transform_ground_to_map.translation)[:2]
+    begin = slot + [2.5 if far else 1.2, 0.0]
+    navigator.odometry._pose = RigidTransform.from_translation([*begin, 0.1])  # pyright: ignore
+    navigator.odometry._at = navigator.odometry._pasts[-1]  # pyright: ignore
+    goals = []
+
+    def drive(seen, navigator, arm, goal):
+        goals.append(goal[0])
+        return Driven(seen, True)
+        yield
+
+    def at_once(seen, *_):
+        return seen
+        yield
+
+    monkeypatch.setattr(search, "drive", drive)
+    monkeypatch.setattr(search, "faced", at_once)
+    monkeypatch.setattr(search, "posed", at_once)
+    monkeypatch.setattr(navigator, "take", lambda seen, at_rest: None)
+    monkeypatch.setattr(navigator, "lengths_to", lambda p: np.linalg.norm(p - begin, axis=1))
+    stage = SearchPanel(belief, radio_of(), True, np.random.default_rng(3))
+    with pytest.raises(StopIteration):
+        next(stage._come_near(seen_at(0.1)))
+    assert len(goals) == far
+    for goal in goals:
+        assert np.linalg.norm(goal - slot) == pytest.approx(1.3, abs=1e-9)
+        assert np.linalg.norm(goal - begin) == pytest.approx(1.2, abs=0.05)
