@@ -173,8 +173,8 @@ class PanelSearch:
         places: (N, 3) possible middles of the target's face [m]; their heights may be updated.
         weights: (N,) odds of each place; they sum to 1.
         views: Number of views without the target.
-        near: Whether a sighted target is to be seen from near to be known well enough; a view from
-            far may have told that it is.
+        within: Distance from which a sighted target is to be seen, as views from farther away told
+            too little of it [m].
         hiding: (K, 3) discs of the site that hide what is behind them, as another robot does: x, y
             and radius [m], in its ground frame.
     """
@@ -185,7 +185,7 @@ class PanelSearch:
         self._config = config or PanelSearchConfig()
         self.weights = np.full(len(self.places), 1.0 / len(self.places))
         self.views = 0
-        self.near = False
+        self.within = math.inf
         self.hiding = np.zeros((0, 3))
         self._eye = np.full(2, np.inf)  # From where views were taken last, and what they showed.
         self._tried = np.zeros(len(self.places), bool)
@@ -387,7 +387,7 @@ class PanelSearch:
 
     @property
     def sighted(self) -> bool:
-        """Whether the target likely is where it was sighted: then it is to be seen from near."""
+        """Whether the target likely is where it was sighted."""
         if self._spot is None:
             return False
         return self.odds_within(self._spot, 3.0 * self._config.sight_sigma[0]) > 0.5  # noqa: PLR2004
@@ -395,7 +395,8 @@ class PanelSearch:
     @property
     def _reach(self) -> float:
         """Farthest distance of a view at rest that tells what is to be known next [m]."""
-        return self._config.reach[1] if self.near and self.sighted else self._config.sight
+        near, far = self._config.reach[1], self._config.sight
+        return min(max(self.within, near), far) if self.sighted else far
 
     def _visible(self, eye: FloatArray, reach: float) -> BoolArray:
         """Return (N,), whether the target at each place would show its face to an eye (3,)."""

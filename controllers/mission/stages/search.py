@@ -55,6 +55,7 @@ that takes 0.1 s."""
 _MAPPED = 1.6  # Distance from the slot up to which the site is mapped from where the rover is [m].
 _BEFORE, _BEARINGS = (1.0, 1.3), 24
 """Distances from the slot [m], and number of directions, of places that the site is mapped from."""
+_NEARER = 0.75  # Part of the way from a panel from which a view tells more of it.
 _PLANE_CELLS = 400  # Mapped cells from which on they tell the slope of the field.
 
 
@@ -147,16 +148,17 @@ class SearchPanel:
             seen = yield from _at(seen, navigator, self._arm, panel)
             self._glimpsed = None
             found = navigator.take(seen, at_rest=True)
-            known = search.sighted
             sighted = None if found is not None else self._sight(seen)
             if sighted is not None and _is_enough(sighted):
                 found = self._localized(seen, sighted)
             if found is not None:
                 self._belief.localize(found)
                 return (yield from self._come_near(seen)) if self._first else seen
-            if sighted is None or (known and search.near):  # Then it was to be localized.
+            if sighted is None:
                 self._miss(seen, view)
-            search.near |= sighted is not None
+            else:
+                away = np.linalg.norm(sighted.transform_camera_to_world.translation)
+                search.within = _NEARER * float(away)
         raise StageError(self.name, f"the panel was not found in {_PATIENCE:.0f} s")
 
     def _come_near(self, seen: Observation) -> Behaviour:

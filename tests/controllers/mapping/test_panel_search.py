@@ -176,7 +176,7 @@ def test_what_was_sighted_far_away_is_to_be_seen_from_near():
     assert search.best(*here).rate > 0.0
     search.sight(cloud_of([far, 0.0, 0.2]))
     assert search.best(*here).rate > 0.0
-    search.near = True  # What the view told is not enough.
+    search.within = 0.8 * far  # What the view told is not enough.
     assert search.best(*here).rate == 0.0
     places = search.draw_places(50, np.random.default_rng(0))
     assert np.linalg.norm(places - [far, 0.0], axis=1).max() < CONFIG.reach[1]
