@@ -105,12 +105,12 @@ def random_views(
 
 
 @pytest.mark.parametrize(
-    ("distance", "markers", "known"), [(1.2, 3, 1.0), (3.0, 3, 0.5), (2.5, 4, 0.9)]
+    ("distance", "markers", "known"), [(1.2, 3, 1.0), (3.0, 3, 0.5), (3.5, 3, 0.3), (2.5, 4, 0.9)]
 )
 def test_far_markers_that_may_be_others_or_turned_to_the_other_side_tell_no_pose(
     distance: float, markers: int, known: float
 ) -> None:
-    """Without a look for other poses, several of those by three markers at 3 m are wrong."""
+    """Without a look for other markers or the mirrored pose, two of 40 at 3.5 m are wrong."""
     found, wrong = 0, 0
     for seen, true in random_views(distance, 40, markers):
         camera = empty_map().camera_at(seen, FAR_SIGMA)
@@ -120,4 +120,4 @@ def test_far_markers_that_may_be_others_or_turned_to_the_other_side_tell_no_pose
         found += 1
         wrong += xi @ np.linalg.solve(camera.covariance, xi) > 30.0
     assert found >= known * 40
-    assert wrong <= 1
+    assert wrong == 0
