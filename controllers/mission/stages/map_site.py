@@ -1,4 +1,4 @@
-"""Stage ``map``, chapter 3: the master maps the site from where it found the panel."""
+"""Stage ``map``, chapter 3: the master maps the site from where its search has led it."""
 
 import numpy as np
 

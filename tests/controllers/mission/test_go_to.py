@@ -8,7 +8,7 @@ from controllers.mission.behaviours import Driven
 from controllers.mission.stage import StageError
 from controllers.mission.stages import go_to
 from controllers.mission.stages.go_to import GoToPlace
-from tests.controllers.mission.hand_made import SLAVE, belief_of
+from tests.controllers.mission.hand_made import SLAVE, at_once, belief_of
 from tests.controllers.motion.seen import seen_at
 
 
@@ -105,10 +105,6 @@ def test_a_rover_near_its_place_docks(monkeypatch, place, ways):
         return seen
         yield
 
-    def at_once(seen, *_):
-        return seen
-        yield
-
     monkeypatch.setattr(go_to, "drive_along", straight)
     monkeypatch.setattr(go_to, "posed", at_once)
     monkeypatch.setattr(go_to, "finished", at_once)
@@ -164,10 +160,6 @@ def test_a_rover_that_has_docked_turns_until_its_head_sees_it_in_its_heading(
     def finished(seen, *_):
         left[0] -= 0.18
         be(left[0])
-        return seen
-        yield
-
-    def at_once(seen, *_):
         return seen
         yield
 

@@ -14,6 +14,7 @@ from tests.controllers.mission.hand_made import (
     MASTER,
     SITE,
     SLAVE,
+    at_once,
     belief_of,
     hand_links,
     localized,
@@ -129,10 +130,6 @@ def test_a_rover_that_is_to_map_the_site_comes_near_it(monkeypatch, far):
     def drive(seen, navigator, arm, goal):
         goals.append(goal[0])
         return Driven(seen, True)
-        yield
-
-    def at_once(seen, *_):
-        return seen
         yield
 
     monkeypatch.setattr(search, "drive", drive)
