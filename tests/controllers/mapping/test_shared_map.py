@@ -121,3 +121,9 @@ def test_far_markers_that_may_be_others_or_turned_to_the_other_side_tell_no_pose
         wrong += xi @ np.linalg.solve(camera.covariance, xi) > 30.0
     assert found >= known * 40
     assert wrong == 0
+
+
+def test_markers_seen_in_one_line_tell_no_pose() -> None:
+    along = np.array([[-0.1, 0.0, 2.0], [0.0, 0.0, 2.0], [0.1, 0.0, 2.0]])
+    seen = SeenTarget(np.arange(3), HEAD.project(along))
+    assert empty_map().camera_at(seen, FAR_SIGMA) is None
