@@ -15,8 +15,9 @@ from perception.elevation.map import ElevationMap
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import transport_covariance
 
-_ROUNDS = 5  # Of least squares with weights by the residuals before.
-_CUT = 0.03  # Height above or below the map from which on a point tells nothing [m].
+_CUTS = (0.3, 0.15, 0.08, 0.05, 0.03, 0.03, 0.03)
+"""Height above or below the map from which on a point tells nothing [m], for each round of least
+squares. The first ones find a view whose pose has drifted farther than rocks are high."""
 _SIGMA = 0.01  # Deviation of a point's height from that of its cell, beside the pose's error [m].
 _ALIKE = 30.0  # Number of points whose errors are one.
 
@@ -62,8 +63,8 @@ def aligned(
     rows, lacks = by_error[seen], (known - points[:, 2])[seen]
     prior = np.linalg.inv(own)
     error, information = np.zeros(3), prior
-    for _ in range(_ROUNDS):
-        off = (lacks - rows @ error) / _CUT
+    for cut in _CUTS:
+        off = (lacks - rows @ error) / cut
         weights = np.square(np.maximum(1.0 - off * off, 0.0)) / (_ALIKE * _SIGMA**2)
         information = prior + (rows * weights[:, None]).T @ rows
         error = np.linalg.solve(information, rows.T @ (weights * lacks))

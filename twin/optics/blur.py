@@ -187,6 +187,6 @@ def _blur_along(padded: Any, motion: Any, half: int, result: Any) -> None:
                 place = scale * ((k + 0.5) / count - 0.5)
                 points[k, 0], points[k, 1] = place * across, place * along
             _spread(points, kernel)
-            rows, columns = _reach(scale * abs(along)), _reach(scale * abs(across))
+            rows, columns = _reach(abs(along)), _reach(abs(across))
             window = _Window(i * BLOCK, j * BLOCK, max(rows, _REACH), max(columns, _REACH))
             _blur_block(padded, kernel, window, result)

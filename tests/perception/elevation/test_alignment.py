@@ -52,6 +52,17 @@ def test_tilt_and_height_of_a_view_are_corrected_to_what_is_mapped():
         assert abs(np.median(off)) < 0.002
 
 
+def test_a_view_that_has_drifted_farther_than_rocks_are_high_still_fits_the_map():
+    rng = np.random.default_rng(5)
+    elevation, sigma = mapped(rng), SIGMA.copy()
+    sigma[5, 5] = 0.1**2
+    for drift in (-0.12, 0.07, 0.15):
+        points = view(rng, [0.01, -0.02, 0, 0, 0, drift])
+        off = aligned(elevation, points, EYE, sigma).points[:, 2] - surface(points[:, :2])
+        assert abs(np.median(off)) < 0.003
+        assert np.median(np.abs(off)) < 0.004
+
+
 def test_an_obstacle_that_was_not_there_before_does_not_turn_the_view():
     rng = np.random.default_rng(2)
     elevation, points = mapped(rng), view(rng, np.zeros(6))

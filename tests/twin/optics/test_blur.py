@@ -1,5 +1,9 @@
 """Widths of defocus and motion blur against the moments of a disc and of a line."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -90,3 +94,23 @@ def test_blur_that_nobody_could_see_is_left_out():
 def test_longest_line_is_limited():
     _, _, covariance = moments(smear(point(), blocks((1e4, 0.0))))
     assert covariance[0, 0] == pytest.approx(LARGEST_STREAK**2 / 12.0, rel=1e-3)
+
+
+WHOLE_STREAKS = """
+import os
+import subprocess
+import sys
+
+import numpy as np
+from twin.optics.blur import Defocus, LARGEST_DISC, LARGEST_STREAK, smear
+for length in (1.0, 2.0, 4.0, 9.99, LARGEST_STREAK, 100.0):
+    for motion in ((length, 0.0), (0.0, length), (-length, length)):
+        smear(np.ones((8, 8), np.float32), np.full((1, 1, 2), motion))
+Defocus(1.3).apply(np.ones((8, 8), np.float32), np.full((1, 1), LARGEST_DISC))
+"""
+
+
+def test_blur_reads_nothing_beyond_its_kernel_and_its_image():
+    # Compiled code reads whatever lies there; interpreted, NumPy refuses it.
+    interpreted = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    subprocess.run([sys.executable, "-c", WHOLE_STREAKS], env=interpreted, check=True, timeout=120)
