@@ -18,6 +18,7 @@ import fastcrc
 import numpy as np
 
 from perception.compression.byte_codes import CodingError
+from perception.elevation.alignment import aligned
 from perception.elevation.deltas import (
     LARGEST,
     STEP,
@@ -47,7 +48,8 @@ _NONE = -(2**31)
 """Number of no delta, before all others."""
 _MOST_PATIENCE = 60.0
 """Longest time after which a delta without a receipt is taken for lost [s]."""
-_ENOUGH = 50  # Number of cells that tell the difference of two maps.
+_APART = np.diag(np.square([0.03, 0.03, 0.0, 0.0, 0.0, 0.3]))
+"""Covariance of one robot's levelled map in the other's, as a twist [rad, m]."""
 _NO_CELLS = np.zeros(0, np.intp)
 
 
@@ -235,21 +237,21 @@ class MapSharing:
 def completed(own: ElevationMap, received: ElevationMap) -> ElevationMap:
     """Return a robot's map with what it has received where it knows nothing itself.
 
-    Both robots have levelled their maps by themselves: the received heights are moved by the median
-    difference of what both know, if that is enough.
+    Both robots have levelled their maps by themselves: the received heights are moved by the tilt
+    and the height that fit the own map best, so that no step stands where one map ends.
 
     Args:
         own: The robot's own map, which stays as it is.
         received: What it has received, in the same frame and cells.
     """
-    known = own.known
-    both, missing = known & received.known, ~known & received.known
-    shift = 0.0
-    if np.count_nonzero(both) >= _ENOUGH:
-        shift = float(np.median(own.heights[both] - received.heights[both]))
+    there = received.known
+    missing = (~own.known)[there]
     whole = own.copy()
-    whole.heights[missing] = received.heights[missing] + shift
-    whole.variances[missing] = received.variances[missing]
+    if missing.any():
+        points = np.column_stack([own.grid.centres[there], received.heights[there]])
+        fitted = aligned(own, points, points.mean(axis=0), _APART).points[:, 2]
+        whole.heights[there] = np.where(missing, fitted, own.heights[there])
+        whole.variances[there] = np.where(missing, received.variances[there], own.variances[there])
     return whole
 
 

@@ -425,20 +425,23 @@ def test_impossible_settings_are_named():
         MapSharingConfig(unreceipted=40)
 
 
-def test_received_heights_complete_a_map_by_the_difference_of_what_both_know():
+def test_received_heights_complete_a_map_by_the_tilt_and_height_in_which_both_differ():
     own, received = ElevationMap(GRID), ElevationMap(GRID)
     shape = GRID.shape
     truth = np.random.default_rng(1).normal(0.0, 0.02, shape)
     half = shape[1] // 2
-    own.heights[:, : half + 2], own.variances[:, : half + 2] = truth[:, : half + 2], 1e-5
-    received.heights[:, half - 2 :] = truth[:, half - 2 :] - 0.03
-    received.variances[:, half - 2 :] = 4e-5
+    own.heights[:, : half + 8], own.variances[:, : half + 8] = truth[:, : half + 8], 1e-5
+    x, y = np.moveaxis(GRID.centres, -1, 0)
+    tilted = truth - 0.06 + 0.02 * x - 0.03 * y
+    received.heights[:, half - 8 :] = tilted[:, half - 8 :]
+    received.variances[:, half - 8 :] = 4e-5
     whole = completed(own, received)
-    np.testing.assert_allclose(whole.heights, truth, atol=1e-12)
-    np.testing.assert_array_equal(whole.variances[:, : half + 2], 1e-5)
-    np.testing.assert_array_equal(whole.variances[:, half + 2 :], 4e-5)
-    assert not own.known[:, half + 2 :].any()
-    # Too few cells in common: as received.
+    np.testing.assert_array_equal(whole.heights[:, : half + 8], truth[:, : half + 8])
+    np.testing.assert_allclose(whole.heights[:, half + 8 :], truth[:, half + 8 :], atol=0.003)
+    np.testing.assert_array_equal(whole.variances[:, : half + 8], 1e-5)
+    np.testing.assert_array_equal(whole.variances[:, half + 8 :], 4e-5)
+    assert not own.known[:, half + 8 :].any()
+    # Without a cell in common: as received.
     alone = ElevationMap(GRID)
     alone.heights[0, 0], alone.variances[0, 0] = 5.0, 1e-5
     assert completed(alone, received).heights[0, -1] == received.heights[0, -1]
