@@ -10,9 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from controllers.insertion.camera_station import camera_arm
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.localization import RobotLocalization
 from controllers.mapping.searching import aim
+from controllers.mission.belief import MissionBelief
 from controllers.mission.navigator import Navigator
 from controllers.motion.arm_move import ArmMove
 from perception.geometry.arrays import FloatArray
@@ -49,17 +51,39 @@ class Driven(NamedTuple):
     stopped: bool = False
 
 
-def following(behaviour: Behaviour, seen: Observation) -> Command | None:
-    """Return the next command of a behaviour; None when it has ended.
+class DrivingPart:
+    """One rover's part of a stage that is a single behaviour, `_run`; then the arm is folded.
 
     Args:
-        behaviour: Behaviour, which has begun.
-        seen: Observation of this tick.
+        belief: Estimates of the rover.
+
+    Attributes:
+        done: Whether the behaviour has ended.
     """
-    try:
-        return behaviour.send(seen)
-    except StopIteration:
-        return None
+
+    def __init__(self, belief: MissionBelief) -> None:
+        self.done = False
+        self._belief, self._navigator = belief, belief.navigator
+        self._arm, _ = camera_arm(belief.robot)
+        self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
+        self._behaviour: Behaviour | None = None
+
+    def step(self, seen: Observation) -> Command:
+        """Return the next command of the behaviour, or to fold the arm when it has ended."""
+        self._navigator.observe(seen)
+        if not self.done:
+            try:
+                if self._behaviour is not None:
+                    return self._behaviour.send(seen)
+                self._behaviour = self._run(seen)
+                return next(self._behaviour)
+            except StopIteration:
+                self.done = True
+        return self._rest.command(seen)
+
+    def _run(self, seen: Observation) -> Behaviour:
+        """Begin the behaviour at an observation."""
+        raise NotImplementedError
 
 
 def posed(seen: Observation, navigator: Navigator, goal: FloatArray) -> Behaviour:

@@ -4,45 +4,22 @@ import math
 
 import numpy as np
 
-from controllers.insertion.camera_station import camera_arm
-from controllers.mission.behaviours import DRIVING, Behaviour, drive, following
-from controllers.mission.belief import MissionBelief
-from controllers.motion.arm_move import ArmMove
+from controllers.mission.behaviours import Behaviour, DrivingPart, drive
 from perception.geometry.arrays import FloatArray
-from twin.robot import Command, Observation
+from twin.robot import Observation
 
 _FAR = (0.8, 1.2)  # Distances to which it drives [m].
 _BEARINGS = np.linspace(-math.pi, math.pi, 16, endpoint=False)
 _LONG = 0.5  # Distance from what needs room that is worth a way longer by a metre [m].
 
 
-class GiveWay:
+class GiveWay(DrivingPart):
     """Drives one rover to a place farther from the site and from the other rover.
 
-    Args:
-        belief: Estimates of the rover.
-
-    Attributes:
-        done: Whether it is there, or knows no such place.
+    It ends where it is if it knows no such place.
     """
 
-    def __init__(self, belief: MissionBelief) -> None:
-        self.done = False
-        self._belief, self._navigator = belief, belief.navigator
-        self._arm, _ = camera_arm(belief.robot)
-        self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
-        self._script = self._run()
-        next(self._script)
-
-    def step(self, seen: Observation) -> Command:
-        """Return the command of the drive."""
-        self._navigator.observe(seen)
-        command = None if self.done else following(self._script, seen)
-        self.done = command is None
-        return command or self._rest.command(seen)
-
-    def _run(self) -> Behaviour:
-        seen = yield Command()
+    def _run(self, seen: Observation) -> Behaviour:
         place = self._place()
         if place is not None:
             seen = (yield from drive(seen, self._navigator, self._arm, (place, None))).seen

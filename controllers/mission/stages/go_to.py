@@ -12,16 +12,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from controllers.insertion.camera_station import camera_arm, stereo_geometry
+from controllers.insertion.camera_station import stereo_geometry
 from controllers.mapping.searching import TargetSearch, aim
 from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.behaviours import (
     DRIVING,
     Behaviour,
+    DrivingPart,
     drive,
     drive_along,
     finished,
-    following,
     posed,
     retreat,
 )
@@ -46,7 +46,7 @@ _INNER = 0.2  # How far within its tolerance a heading is that the rover turns t
 _VIEWS = 8  # Views in which the panel is searched for at the place.
 
 
-class GoToPlace:
+class GoToPlace(DrivingPart):
     """Drives one rover to a place in the ground frame, and localizes it there by the panel.
 
     Args:
@@ -57,7 +57,6 @@ class GoToPlace:
         near: Tolerances of the place: distance [m] and heading [rad].
 
     Attributes:
-        done: Whether the rover is there and localized.
         place: (3,) place to drive to, ground frame.
         stops: Number of drives that have ended.
     """
@@ -69,25 +68,12 @@ class GoToPlace:
         choose: Callable[[], tuple[float, float, float]],
         near: tuple[float, float],
     ) -> None:
-        self.name, self.place, self.done, self.stops = name, choose(), False, 0
-        self._choose = choose
-        self._belief, self._near = belief, near
-        self._navigator = belief.navigator
-        self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
-        self._arm, _ = camera_arm(belief.robot)
+        super().__init__(belief)
+        self.name, self.place, self.stops = name, choose(), 0
+        self._choose, self._near = choose, near
         self._reason = ""  # Why the last drive has not arrived.
-        self._script = self._run()
-        next(self._script)
 
-    def step(self, seen: Observation) -> Command:
-        """Return the command of the drive or of the arm; the arm is folded when it has ended."""
-        self._navigator.observe(seen)
-        command = None if self.done else following(self._script, seen)
-        self.done = command is None
-        return command or self._rest.command(seen)
-
-    def _run(self) -> Behaviour:
-        seen = yield Command()
+    def _run(self, seen: Observation) -> Behaviour:
         while self.stops == 0 or self._missed():
             if self.stops == _MOST_DRIVES:
                 off, turn = self._off()

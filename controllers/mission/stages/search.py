@@ -10,7 +10,6 @@ import math
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.insertion.camera_station import camera_arm
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.localization import CameraPose, RobotLocalization
 from controllers.mapping.panel_search import (
@@ -24,9 +23,9 @@ from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.behaviours import (
     DRIVING,
     Behaviour,
+    DrivingPart,
     drive,
     faced,
-    following,
     look_round,
     posed,
     retreat,
@@ -35,9 +34,8 @@ from controllers.mission.belief import MissionBelief
 from controllers.mission.navigator import Navigator
 from controllers.mission.radio import MissionRadio
 from controllers.mission.stage import StageError
-from controllers.motion.arm_move import ArmMove
 from perception.geometry.arrays import FloatArray
-from twin.robot import Command, Observation
+from twin.robot import Observation
 
 _PLACES = 2000  # Possible places of the panel.
 _SEEN_PLACES = 200  # Those of a panel that was sighted.
@@ -59,7 +57,7 @@ _NEARER = 0.75  # Part of the way from a panel from which a view tells more of i
 _PLANE_CELLS = 400  # Mapped cells from which on they tell the slope of the field.
 
 
-class SearchPanel:
+class SearchPanel(DrivingPart):
     """Drives one rover until the panel has localized it.
 
     Until one is localized neither rover knows where the other is. So near the panel only one of
@@ -73,7 +71,6 @@ class SearchPanel:
         rng: Random generator for possible places and for viewpoints.
 
     Attributes:
-        done: Whether the rover is localized.
         search: Where the panel may be; None before the search begins.
     """
 
@@ -82,28 +79,22 @@ class SearchPanel:
     def __init__(
         self, belief: MissionBelief, radio: MissionRadio, first: bool, rng: np.random.Generator
     ) -> None:
-        self.done = False
-        self._belief, self._radio, self._first, self._rng = belief, radio, first, rng
-        self._navigator = belief.navigator
-        self._arm, _ = camera_arm(belief.robot)
-        self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
+        super().__init__(belief)
+        self._radio, self._first, self._rng = radio, first, rng
         self.search: PanelSearch | None = None
         self._glimpsed: RobotLocalization | None = None
         self._far_view = 0.0, 0.0
-        self._script = self._run()
-        next(self._script)
 
-    def step(self, seen: Observation) -> Command:
-        """Return the command of the search; it rests when it has ended."""
-        self._navigator.observe(seen)
-        command = None if self.done else following(self._script, seen)
-        if command is None:
-            self.done, self._radio.near = True, False
-        return command or self._rest.command(seen)
+    def _run(self, seen: Observation) -> Behaviour:
+        seen = yield from self._search(seen)
+        if self._first:
+            seen = yield from self._come_near(seen)
+        self._radio.near = False
+        return seen
 
-    def _run(self) -> Behaviour:
+    def _search(self, seen: Observation) -> Behaviour:
+        """Take views until the panel has localized the rover."""
         navigator = self._navigator
-        seen = yield Command()
         begun = seen.time
         seen = yield from posed(seen, navigator, DRIVING)
         search = self.search = self._possible_places()
@@ -153,7 +144,7 @@ class SearchPanel:
                 found = self._localized(seen, sighted)
             if found is not None:
                 self._belief.localize(found)
-                return (yield from self._come_near(seen)) if self._first else seen
+                return seen
             if sighted is None:
                 self._miss(seen, view)
             else:
