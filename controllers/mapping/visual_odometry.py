@@ -353,11 +353,10 @@ class VisualOdometry:
         steps = [p.rolled[1] for p in self._pasts if before.time < p.time <= after.time]
         turned, seen = float(np.sum(steps)), float(motion.rotation.as_euler("ZXY")[0])
         # One that turns on the spot may roll, but to stay there.
-        if way < _SPOT * angle:
-            if abs(turned) > _PIVOTED:
-                self.slip = 1.0 - seen / (self._drawn_share * turned)
-        elif way > _ROLLED:
+        if way > max(_SPOT * angle, _ROLLED):
             self.slip = 1.0 - float(np.linalg.norm(motion.translation)) / way
+        elif abs(turned) > _PIVOTED:
+            self.slip = 1.0 - seen / (self._drawn_share * turned)
         if abs(turned) > _TURNED and self.slip < _HELD:
             self._learn_turns(seen, turned)
         self._learn_slide(before, after, motion)

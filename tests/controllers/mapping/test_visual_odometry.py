@@ -117,17 +117,19 @@ def test_wheels_that_turn_while_the_rover_stays_slip_and_tell_nothing_of_turns(f
     assert odometry.turn_share == 0.5
 
 
+@pytest.mark.parametrize(("forward", "turn", "duration"), [(0.08, 0.9, 1.5), (0.07, 0.45, 1.0)])
 @pytest.mark.parametrize(("kept", "slip"), [(0.5, 0.0), (0.25, 0.5), (0.0, 1.0)])
 def test_a_turn_on_the_spot_slips_by_what_it_lacks_of_the_drawn_one_though_it_rolls_meanwhile(
-    kept, slip
+    kept, slip, forward, turn, duration
 ):
     odometry, matcher = rover(share=0.5)
     time = drive(odometry, 0.0, 0.0, 0.1)
     odometry.see(time, IMAGE, POINTS)
     for _ in range(4):
-        turn = Rotation.from_euler("z", kept * 0.9 * 1.5)
-        matcher.motions.append(camera_motion(odometry, RigidTransform.from_rotation(turn)))
-        time = drive(odometry, 0.08, 0.9, 1.5, time)  # It slides back as far as it rolls.
+        turned = Rotation.from_euler("z", kept * turn * duration)
+        matcher.motions.append(camera_motion(odometry, RigidTransform.from_rotation(turned)))
+        # It slides back as far as it rolls.
+        time = drive(odometry, forward, turn, duration, time)
         odometry.see(time - 0.01, IMAGE, POINTS)
         assert odometry.slip == pytest.approx(slip, abs=0.02)
 
