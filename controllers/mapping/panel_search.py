@@ -36,8 +36,9 @@ class PanelSearchConfig:
         half_view: Half of the angle across within which it is detected, about the camera's axis
             [rad].
         half_height: The same upright [rad].
-        missed: Odds that a view misses a target that it should see.
-        passed: The same of one on the way: images are blurred, and one pair follows the other so
+        missed: Odds that a view at rest misses a target that it should see, where `reach` ends and
+            where `sight` does; in between by the distance.
+        passed: Least odds of one on the way: images are blurred, and one pair follows the other so
             soon that they miss it for the same reason.
         opaque: Odds that something unmapped hides the target.
         empty: Odds that a target stands where the map shows nothing but ground.
@@ -61,7 +62,7 @@ class PanelSearchConfig:
     slant: float = math.radians(55.0)
     half_view: float = math.radians(15.0)
     half_height: float = math.radians(10.0)
-    missed: float = 0.1
+    missed: tuple[float, float] = (0.1, 0.6)
     passed: float = 0.7
     opaque: float = 0.15
     empty: float = 0.02
@@ -262,11 +263,12 @@ class PanelSearch:
         within = (_apart(bearing, turn) < c.half_view) & (abs(raised - tilt) < c.half_height)
         reach = c.reach[1] if intended is None and not far else self._reach
         seen = within & self._visible(eye, reach) & ~ground.hidden(eye, self.places)
-        odds = c.passed
-        if intended is not None:
+        odds = self._missed(eye)
+        if intended is None:
+            odds = np.maximum(odds, c.passed)
+        else:
             # Another view from the same place shows no more: what hid the target still does.
             seen = (seen | intended.shown) & ~self._tried_from(eye[:2])
-            odds = c.missed
             self._tried = seen | self._tried_from(eye[:2])
             self._eye = eye[:2].copy()
         self.weights *= np.where(seen, odds + c.opaque - odds * c.opaque, 1.0)
@@ -349,7 +351,7 @@ class PanelSearch:
             eye = np.array([*place, z])
             seen = self._visible(eye, self._reach) & ~self._tried_from(place)
             seen[seen] = ~ground.hidden(eye, self.places[seen])
-            odds = self.weights[seen] * (1.0 - c.missed) * (1.0 - c.opaque)
+            odds = (self.weights * (1.0 - self._missed(eye)))[seen] * (1.0 - c.opaque)
             if not len(odds):
                 continue
             bearing, raised = _directions(self.places[seen] - eye)
@@ -397,6 +399,11 @@ class PanelSearch:
         """Farthest distance of a view at rest that tells what is to be known next [m]."""
         near, far = self._config.reach[1], self._config.sight
         return min(max(self.within, near), far) if self.sighted else far
+
+    def _missed(self, eye: FloatArray) -> FloatArray:
+        """Return (N,) the odds that a view at rest misses the target at each place."""
+        c, distance = self._config, np.linalg.norm(eye - self.places, axis=1)
+        return np.interp(distance, (c.reach[1], c.sight), c.missed)
 
     def _visible(self, eye: FloatArray, reach: float) -> BoolArray:
         """Return (N,), whether the target at each place would show its face to an eye (3,)."""

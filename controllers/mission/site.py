@@ -53,7 +53,12 @@ class SiteDrawing:
     def structures(self) -> FloatArray:
         """(K, 3) discs that hold panel, slot and plinth: x, y and radius [m]."""
         x, y, _ = self.transform_panel_to_ground.translation
-        return np.array([[x, y, self.target.extent / 2.0 + _PANEL_MARGIN], *_SLOT_DISCS])
+        return np.array([[x, y, self.target.extent / 2.0 + _PANEL_MARGIN], *self.slot_discs])
+
+    @property
+    def slot_discs(self) -> FloatArray:
+        """(K, 3) discs that hold slot and plinth, which hide the panel: x, y and radius [m]."""
+        return np.array(_SLOT_DISCS)
 
     def draw_initial_poses(self, robot: str, count: int, rng: np.random.Generator) -> FloatArray:
         """Return (count, 3) x, y [m] and yaw [rad] at which a rover may have begun.

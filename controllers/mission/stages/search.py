@@ -104,7 +104,7 @@ class SearchPanel(DrivingPart):
             self._settle(search)
             search.stands(navigator.sight_lines())
             waits = self._gives_way()
-            search.hiding = self._partner()
+            search.hiding = np.vstack([self._partner(), self._belief.site.slot_discs])
             places, lengths, heights = self._viewpoints(search, wanted, 0 if waits else _VIEWPOINTS)
             kept = wanted[0] if len(wanted) else None
             view = search.best(places, lengths, heights, navigator.sight_lines(), kept)

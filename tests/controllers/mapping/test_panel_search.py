@@ -49,8 +49,20 @@ def test_a_view_that_was_chosen_counts_more_than_one_on_the_way():
     search = search_of([1.2, 0.0, 0.2], [-1.2, 0.0, 0.2])
     chosen = search.best(np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY)
     search.miss(camera([0.0, 0.0, 0.4], chosen.target), EMPTY, chosen)
-    left = CONFIG.missed + CONFIG.opaque - CONFIG.missed * CONFIG.opaque
+    missed = CONFIG.missed[0]
+    left = missed + CONFIG.opaque - missed * CONFIG.opaque
     np.testing.assert_allclose(search.weights, np.array([left, 1.0]) / (1.0 + left))
+
+
+@pytest.mark.parametrize(("away", "share"), [(1.0, 0.0), (2.95, 0.5), (3.95, 0.976)])
+def test_a_view_from_farther_away_tells_less(away, share):
+    search = search_of([away, 0.0, 0.4], [-1.2, 0.0, 0.2])
+    chosen = search.best(np.zeros((1, 2)), np.zeros(1), np.full(1, 0.4), EMPTY)
+    search.miss(camera([0.0, 0.0, 0.4], chosen.target), EMPTY, chosen)
+    near, far = CONFIG.missed
+    missed = near + share * (far - near)
+    left = missed + CONFIG.opaque - missed * CONFIG.opaque
+    np.testing.assert_allclose(search.weights[0], left / (1.0 + left), rtol=1e-3)
 
 
 def test_a_face_turned_away_is_not_missed():
@@ -98,7 +110,7 @@ def test_the_best_view_is_the_one_with_most_chance_a_second():
     search = search_of(*([cluster] * 9), [-1.2, 0.0, 0.2])
     places = np.array([[0.0, 0.0], [0.2, 0.0]])
     view = search.best(places, np.array([0.0, 0.2]), np.full(2, 0.4), EMPTY)
-    odds = 0.9 * (1 - CONFIG.missed) * (1 - CONFIG.opaque)
+    odds = 0.9 * (1 - CONFIG.missed[0]) * (1 - CONFIG.opaque)
     assert view.place.tolist() == [0.0, 0.0]
     assert view.chance == pytest.approx(odds) and view.rate == pytest.approx(
         odds / CONFIG.view_time
@@ -111,7 +123,10 @@ def test_a_drive_is_worth_it_where_nothing_can_be_seen_from_here():
     places = np.array([[0.0, 0.0], [3.0, 0.0], [2.5, 0.0]])
     lengths = np.array([0.0, 3.0, 2.5])
     view = search.best(places, lengths, np.full(3, 0.4), EMPTY)
-    assert view.place.tolist() == [2.5, 0.0]  # the nearer of two that see it
+    assert view.place.tolist() == [3.0, 0.0]  # from nearer the view misses less
+    lengths[1] = 4.5
+    view = search.best(places, lengths, np.full(3, 0.4), EMPTY)
+    assert view.place.tolist() == [2.5, 0.0]
 
 
 def test_nothing_to_be_seen_has_no_rate():
