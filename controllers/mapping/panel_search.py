@@ -299,32 +299,41 @@ class PanelSearch:
         places = self.places[likely & self._visible(eye, self._config.sight)]
         return places[~ground.hidden(eye, places)]
 
-    def sight(self, seen: Cloud) -> None:
+    def sight(self, *seen: Cloud) -> None:
         """Take note of where a view shows the target, too far away to localize the rover by it.
 
         What was less likely before gives way to where it is seen; so do places of sightings before.
 
         Args:
-            seen: Possible places by what the view tells, fewer than those before.
+            seen: Possible places by what the view tells, one cloud for each pose of the target that
+                fits it; together as many each time, and fewer than those before.
         """
-        c, (far, turn) = self._config, self._config.sight_sigma
+        c = self._config
+        supports = np.array([self._support(cloud) for cloud in seen])
+        if supports.sum() < _LEAST:
+            return  # Nothing may stand there.
+        places, normals, frames = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+        if self._seen is None:
+            self._seen = np.argsort(self.weights, kind="stable")[: len(places)]
+        self.places[self._seen], self._normals[self._seen] = places, normals
+        self._frames[self._seen] = frames
+        self.weights[self._seen] = 0.0
+        self.weights *= (1.0 - c.sighted) / max(self.weights.sum(), _LEAST)
+        counts = np.array([len(cloud.places) for cloud in seen])
+        shares = np.repeat(supports / (supports.sum() * counts), counts)
+        self.weights[self._seen] = c.sighted * shares
+        self.weights /= self.weights.sum()
+        self._tried[self._seen] = self._empty[self._seen] = False
+        self._spot = shares @ places[:, :2]
+        self._found = None
+
+    def _support(self, seen: Cloud) -> float:
+        """Return the odds, as known before, of places like those of a sighting."""
+        far, turn = self._config.sight_sigma
         place, normal = seen.places.mean(axis=0), seen.normals.mean(axis=0)
         away = np.linalg.norm(self.places[:, :2] - place[:2], axis=1)
         turned = np.arccos(np.clip(self._normals @ normal / np.linalg.norm(normal), -1.0, 1.0))
-        likely = self.weights * np.exp(-0.5 * ((away / far) ** 2 + (turned / turn) ** 2))
-        if likely.sum() < _LEAST:
-            return  # Nothing may stand there.
-        if self._seen is None:
-            self._seen = np.argsort(self.weights, kind="stable")[: len(seen.places)]
-        self.places[self._seen], self._normals[self._seen] = seen.places, seen.normals
-        self._frames[self._seen] = seen.frames
-        self.weights[self._seen] = 0.0
-        self.weights *= (1.0 - c.sighted) / max(self.weights.sum(), _LEAST)
-        self.weights[self._seen] = c.sighted / len(self._seen)
-        self.weights /= self.weights.sum()
-        self._tried[self._seen] = self._empty[self._seen] = False
-        self._spot = place[:2]
-        self._found = None
+        return float(self.weights @ np.exp(-0.5 * ((away / far) ** 2 + (turned / turn) ** 2)))
 
     def best(
         self,

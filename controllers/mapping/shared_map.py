@@ -133,17 +133,30 @@ class SharedMap:
 
         Args:
             pair: (2, H, W) uint8 left and right image.
+            places: (N, 3) where the target's middle may be [m], as in `sights`.
+
+        Returns:
+            The pose; None where the target is not seen, or another pose fits it hardly worse.
+        """
+        poses = self.sights(pair, places)
+        return poses[0] if len(poses) == 1 else None
+
+    def sights(self, pair: ImageArray, places: FloatArray | None = None) -> list[CameraPose]:
+        """Return the poses that the camera may have in the frame of a target that is far away.
+
+        Args:
+            pair: (2, H, W) uint8 left and right image.
             places: (N, 3) where the target's middle may be [m], left camera frame: no other part of
                 the images is searched, which takes time. None for anywhere.
 
         Returns:
-            The pose; None where the target is not seen.
+            Poses that fit about alike, the best first; none where the target is not seen.
         """
         window = None if places is None else self._window(places)
         if places is not None and window is None:
-            return None
+            return []
         target = find_target(pair, self.geometry, self.cad, _FAINT, far=True, window=window)
-        return None if target is None else self.camera_at(target, _FAINT)
+        return [] if target is None else self.poses_at(target, _FAINT)
 
     def _window(self, places: FloatArray) -> tuple[slice, slice] | None:
         """Return the rows and columns that show targets at places (N, 3); None for none of them."""
@@ -175,20 +188,28 @@ class SharedMap:
             The pose, whose covariance includes the errors of the head's calibration; None if the
             markers do not fit, or another pose fits them hardly worse.
         """
+        poses = self.poses_at(target, sigma)
+        return poses[0] if len(poses) == 1 else None
+
+    def poses_at(self, target: SeenTarget, sigma: FloatArray) -> list[CameraPose]:
+        """Return the camera's poses that fit a target's markers about alike, the best first.
+
+        Args:
+            target: Markers of the target as a view shows them.
+            sigma: (3,) standard deviations of a marker's column, row and disparity [px].
+        """
         ways: Iterable[Sequence[int]] = [target.indices.tolist()]
         if len(target.indices) < len(self.cad.points):
             ways = itertools.permutations(range(len(self.cad.points)), len(target.indices))
         fits = [fit for way in ways for fit in self._fits(way, target.image_points, sigma)]
-        if not fits:
-            return None
-        best = min(fits, key=lambda fit: fit.cost)
-        to_target = best.pose.transform()
+        fits.sort(key=lambda fit: fit.cost)
+        poses: list[CameraPose] = []
         for fit in fits:
-            xi = (fit.pose.transform() * to_target.inv()).as_exp_coords()
-            apart = xi @ np.linalg.solve(best.covariance, xi)
-            if apart > _ELSEWHERE and fit.cost < best.cost + _CLEARLY:
-                return None
-        return CameraPose(to_target, best.covariance)
+            to_target = fit.pose.transform()
+            alike = fit is fits[0] or fit.cost < fits[0].cost + _CLEARLY
+            if alike and all(_is_elsewhere(to_target, other) for other in poses):
+                poses.append(CameraPose(to_target, fit.covariance))
+        return poses
 
     def _fits(
         self, markers: Sequence[int], image_points: FloatArray, sigma: FloatArray
@@ -239,6 +260,12 @@ class SharedMap:
         occupied = self.voxels.states(points) == State.OCCUPIED
         free = self.voxels.probabilities(points) < 0.05  # noqa: PLR2004
         return np.asarray(occupied), np.asarray(free)
+
+
+def _is_elsewhere(to_target: RigidTransform, other: CameraPose) -> bool:
+    """Return whether a pose of the camera is beyond what another one's covariance leaves open."""
+    xi = (to_target * other.transform_camera_to_world.inv()).as_exp_coords()
+    return bool(xi @ np.linalg.solve(other.covariance, xi) > _ELSEWHERE)
 
 
 def _mirrored(pose: Pose, middle: FloatArray) -> Pose:

@@ -5,6 +5,7 @@ the path there is planned on what is mapped. The panel localizes the rover, and 
 that of the map (thesis sections 3.2.2 to 3.2.4).
 """
 
+import itertools
 import math
 
 import numpy as np
@@ -139,17 +140,17 @@ class SearchPanel(DrivingPart):
             seen = yield from _at(seen, navigator, self._arm, panel)
             self._glimpsed = None
             found = navigator.take(seen, at_rest=True)
-            sighted = None if found is not None else self._sight(seen)
-            if sighted is not None and _is_enough(sighted):
-                found = self._localized(seen, sighted)
+            sighted = [] if found is not None else self._sight(seen)
+            if len(sighted) == 1 and _is_enough(sighted[0]):
+                found = self._localized(seen, sighted[0])
             if found is not None:
                 self._belief.localize(found)
                 return seen
-            if sighted is None:
-                self._miss(seen, view)
-            else:
-                away = np.linalg.norm(sighted.transform_camera_to_world.translation)
+            if sighted:
+                away = np.linalg.norm(sighted[0].transform_camera_to_world.translation)
                 search.within = _NEARER * float(away)
+            else:
+                self._miss(seen, view)
         raise StageError(self.name, f"the panel was not found in {_PATIENCE:.0f} s")
 
     def _come_near(self, seen: Observation) -> Behaviour:
@@ -204,7 +205,7 @@ class SearchPanel(DrivingPart):
         if found is not None:
             return True
         far = self._is_far_view_due()
-        sighted = far and not self.search.sighted and self._sight(seen) is not None
+        sighted = far and not self.search.sighted and len(self._sight(seen)) > 0
         if not sighted:
             self._miss(seen, far=far)
         return sighted or self._gives_way()
@@ -225,28 +226,31 @@ class SearchPanel(DrivingPart):
         camera = self._navigator.odometry.camera(seen.stereo.stamp)[0]
         self.search.miss(camera, self._navigator.sight_lines(), intended, far)
 
-    def _sight(self, seen: Observation) -> CameraPose | None:
-        """Return the camera's pose in the panel's frame if a pair shows that far away."""
+    def _sight(self, seen: Observation) -> list[CameraPose]:
+        """Return the poses that the camera may have in the panel's frame if a pair shows that."""
         assert self.search is not None
         navigator = self._navigator
         camera = navigator.odometry.camera(seen.stereo.stamp)[0]
         places = self.search.in_sight(np.asarray(camera.translation), navigator.sight_lines())
         local = np.asarray(camera.apply(places, inverse=True)).reshape(-1, 3)
         pair = np.asarray(seen.stereo.value, dtype=np.uint8)
-        sighted = self._belief.map.sight(pair, local)
-        if sighted is None:
-            return None
-        self.search.sight(self._seen_places(camera, sighted))
+        sighted = self._belief.map.sights(pair, local)[:_SEEN_PLACES]
+        if sighted:
+            each, more = divmod(_SEEN_PLACES, len(sighted))
+            counts = [each + (index < more) for index in range(len(sighted))]
+            clouds = map(self._seen_places, itertools.repeat(camera), sighted, counts)
+            self.search.sight(*clouds)
         return sighted
 
-    def _seen_places(self, camera: RigidTransform, sighted: CameraPose) -> Cloud:
+    def _seen_places(self, camera: RigidTransform, sighted: CameraPose, count: int) -> Cloud:
         """Return where the panel may be by a view of it from far.
 
         Args:
             camera: Pose of the camera in the frame, by odometry.
             sighted: Pose of the camera in the panel's frame, by the view.
+            count: Number of places.
         """
-        xi = self._rng.multivariate_normal(np.zeros(6), sighted.covariance, _SEEN_PLACES)
+        xi = self._rng.multivariate_normal(np.zeros(6), sighted.covariance, count)
         views = RigidTransform.from_exp_coords(xi) * sighted.transform_camera_to_world
         panel_to_ground = self._belief.site.transform_panel_to_ground
         return self._cloud(camera * views.inv() * panel_to_ground.inv())

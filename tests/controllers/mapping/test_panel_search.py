@@ -184,6 +184,21 @@ def test_a_sighting_draws_the_odds_to_where_it_was_until_near_views_miss_it():
     assert not search.sighted
 
 
+def test_of_two_poses_that_fit_a_sighting_the_odds_are_those_that_were_known_before():
+    ways = [(-1.0, 0.0), (0.0, -1.0)]
+    spots = [cloud_of([1.0, 0.0, 0.2], normal=normal) for normal in (*ways, ways[0], ways[0])]
+    parts = (np.concatenate(part) for part in zip(*spots, cloud_of([4.0, 4.0, 0.2])))
+    search = PanelSearch(Cloud(*parts))
+    search.sight(*(cloud_of([1.05, 0.0, 0.2], normal=normal) for normal in ways))
+    seen = np.isclose(search.places[:, 0], 1.05)
+    odds = search.weights[seen][np.argsort(search._normals[seen, 0])]
+    np.testing.assert_allclose(odds, CONFIG.sighted * np.array([0.75, 0.25]), rtol=1e-6)
+    assert search.weights.sum() == pytest.approx(1.0)
+    # The other way round, with one pose that nothing speaks for.
+    search.sight(*(cloud_of([1.05, 0.0, 0.2], normal=normal) for normal in ((1.0, 0.0), ways[1])))
+    assert search.weights.max() == pytest.approx(CONFIG.sighted, rel=1e-6)
+
+
 def test_what_was_sighted_far_away_is_to_be_seen_from_near():
     far = CONFIG.reach[1] + 0.5
     search = search_of([far, 0.0, 0.2])

@@ -123,6 +123,21 @@ def test_far_markers_that_may_be_others_or_turned_to_the_other_side_tell_no_pose
     assert wrong == 0
 
 
+@pytest.mark.parametrize(("distance", "markers"), [(3.5, 3), (3.0, 4)])
+def test_one_of_the_poses_that_fit_far_markers_alike_is_the_true_one(
+    distance: float, markers: int
+) -> None:
+    several, true_ones = 0, 0
+    for seen, true in random_views(distance, 20, markers):
+        cameras = empty_map().poses_at(seen, FAR_SIGMA)
+        apart = [(true * c.transform_camera_to_world.inv()).as_exp_coords() for c in cameras]
+        errors = [xi @ np.linalg.solve(c.covariance, xi) for xi, c in zip(apart, cameras)]
+        true_ones += min(errors) < 30.0
+        several += len(cameras) > 1
+    assert several > 0
+    assert true_ones >= 19  # The covariance of so far a view is not quite that of its errors.
+
+
 def test_markers_seen_in_one_line_tell_no_pose() -> None:
     along = np.array([[-0.1, 0.0, 2.0], [0.0, 0.0, 2.0], [0.1, 0.0, 2.0]])
     seen = SeenTarget(np.arange(3), HEAD.project(along))

@@ -93,7 +93,7 @@ def test_places_of_a_panel_seen_from_far_scatter_as_its_pose_does():
         [0.2, 3.0, 0.3], Rotation.from_matrix([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
     )
     sigma = np.array([0.02, 0.03, 0.01, 0.01, 0.02, 0.04])
-    seen = stage._seen_places(camera, CameraPose(panel.inv() * camera, np.diag(sigma**2)))
+    seen = stage._seen_places(camera, CameraPose(panel.inv() * camera, np.diag(sigma**2)), 200)
     np.testing.assert_allclose(seen.places.mean(axis=0), panel.translation, atol=0.02)
     np.testing.assert_allclose(seen.normals.mean(axis=0), [0.0, -1.0], atol=0.01)
     # A twist in the panel's frame turns about its middle, which only shifts move.
