@@ -81,6 +81,31 @@ def test_a_rover_that_has_done_its_part_gives_way_once_the_other_one_has_no_path
     assert len(goals) == 2
 
 
+def test_no_stage_begins_while_a_rover_drives_out_of_the_way(monkeypatch):
+    """A stage would begin with the localization of before the drive."""
+    driving = [True]
+
+    def drive(seen, navigator, arm, goal):
+        while driving:
+            seen = yield Command()
+        return Driven(seen, True)
+
+    monkeypatch.setattr(give_way, "drive", drive)
+    links = hand_links()
+    belief = mapped(localized(SLAVE))
+    part = RobotMission(belief, MissionRadio(links[0], MASTER), 2, iter([Done(), Done()]))
+    before = belief.localization
+    for time, blocked, done in ((1.0, True, 0), (2.0, False, 1)):
+        links[1].send(Status(done, blocked=blocked).pack())
+        for tick in range(5):
+            part.step(seen_at(time + 0.01 * tick))
+        assert part.ended == [] and belief.localization is before
+    driving.clear()
+    for tick in range(3):
+        part.step(seen_at(3.0 + 0.01 * tick))
+    assert part.ended == ["wait"] and belief.localization is not before
+
+
 def test_a_rover_that_has_taken_its_place_stays(goals):
     links = hand_links()
     part = RobotMission(
