@@ -37,7 +37,7 @@ _STILL = 1e-4  # Motion below which a rover has not moved since its last pair [m
 _ROLLED = 0.1  # Way of the wheels that tells of slip [m].
 _PIVOTED, _SPOT = 0.2, 0.12
 """Turn of rolling wheels on the spot that tells of slip [rad], and their way over that turn up to
-which it is one [m/rad]."""
+which it is one [m/rad]; so is one with less way than tells of slip itself."""
 _HELD = 0.6  # Slip from which on something holds the rover, and its turns tell nothing.
 _TURNED = 0.05  # Turn of rolling wheels that tells of the turn share [rad].
 _QUICK = 0.6  # Turn share by which turns are counted: a pair too many does no harm.

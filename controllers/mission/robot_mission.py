@@ -68,7 +68,7 @@ class RobotMission:
         radio.stage = self.stage.name
         radio.begin_tick(seen.time)
         self.belief.partner = radio.partner.slot
-        if self.stage.done and not self.over and not self._is_giving_way:
+        if self.stage.done and not self.over and self._way is None:
             self._end_stage()
         if self.stage.name != InsertCard.name:  # From then on the line is for guidance.
             self._exchange_maps(seen.time)
@@ -86,16 +86,17 @@ class RobotMission:
         if waits and called and self._gives_way is None and self._ways < _MOST_WAYS:
             self._gives_way = GiveWay(self.belief)
             self._ways += 1
-        if self._gives_way is not None and self._is_giving_way:
-            return self._gives_way.step(seen)
+        if (way := self._way) is not None:
+            return way.step(seen)
         if not called:
             self._gives_way = None
         return self.stage.step(seen)
 
     @property
-    def _is_giving_way(self) -> bool:
-        """Whether the rover drives out of the other one's way: its localization is of before."""
-        return self._gives_way is not None and not self._gives_way.done
+    def _way(self) -> GiveWay | None:
+        """Drive out of the other one's way that has not ended: the localization is of before it."""
+        way = self._gives_way
+        return None if way is None or way.done else way
 
     def _exchange_maps(self, now: float) -> None:
         """Exchange maps as soon as both rovers are in the panel's frame."""

@@ -5,7 +5,6 @@ the path there is planned on what is mapped. The panel localizes the rover, and 
 that of the map (thesis sections 3.2.2 to 3.2.4).
 """
 
-import itertools
 import math
 
 import numpy as np
@@ -234,11 +233,13 @@ class SearchPanel(DrivingPart):
         places = self.search.in_sight(np.asarray(camera.translation), navigator.sight_lines())
         local = np.asarray(camera.apply(places, inverse=True)).reshape(-1, 3)
         pair = np.asarray(seen.stereo.value, dtype=np.uint8)
-        sighted = self._belief.map.sights(pair, local)[:_SEEN_PLACES]
+        sighted = self._belief.map.sights(pair, local)
         if sighted:
-            each, more = divmod(_SEEN_PLACES, len(sighted))
-            counts = [each + (index < more) for index in range(len(sighted))]
-            clouds = map(self._seen_places, itertools.repeat(camera), sighted, counts)
+            counts = np.bincount(np.arange(_SEEN_PLACES) % len(sighted)).tolist()
+            clouds = (
+                self._seen_places(camera, pose, count)
+                for pose, count in zip(sighted, counts, strict=True)
+            )
             self.search.sight(*clouds)
         return sighted
 
