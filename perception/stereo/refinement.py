@@ -67,7 +67,9 @@ def refine(
     return Refinement(result[:, 0], result[:, 1:3], sigmas, residuals, contrasts, inner)
 
 
-@numba.njit(cache=True)
+# Without strict order of its sums the loop of `_accumulate` runs on eight pixels at a time. It is
+# inlined here: a compiled copy of its own might sum in another order than one from the cache.
+@numba.njit(cache=True, fastmath={"reassoc", "contract", "nsz"})
 def _refine(left, right, pixels, starts, half, iterations, result):
     rows, columns = left.shape
     count, right = (2 * half + 1) ** 2, right.ravel()
@@ -136,8 +138,7 @@ def _inside(column, half, columns, plane):
     return True
 
 
-# Without strict order of its sums this loop runs on eight pixels at a time.
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, inline="always")
 def _accumulate(window, within, right, plane, normal, target):
     """Fill the normal equations of a window's plane of disparity and offset of brightness.
 

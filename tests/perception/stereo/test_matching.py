@@ -1,5 +1,9 @@
 """Disparities, points and their covariance, on pictures whose disparities are known."""
 
+import os
+import subprocess
+import sys
+
 import cv2
 import numpy as np
 import pytest
@@ -187,3 +191,21 @@ def test_same_pair_gives_the_same_points():
     np.testing.assert_array_equal(MATCHER.match(pair).points, MATCHER.match(pair).points)
     smooth = cv2.GaussianBlur(pair[0], (0, 0), 2.0)
     assert len(MATCHER.match(np.stack([smooth, smooth]))) == 0  # everything at infinity
+
+
+MATCHED = """
+import hashlib
+from tests.perception.stereo.test_matching import MATCHER, PLANES, plane_pair
+print(hashlib.sha256(MATCHER.match(plane_pair(*PLANES[3])[0]).points.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_points_are_the_same_bits_whether_just_compiled_or_from_the_cache(tmp_path):
+    own_cache = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    words = [sys.executable, "-c", MATCHED]
+    compiled, cached = (
+        subprocess.run(words, env=own_cache, check=True, capture_output=True, timeout=300).stdout
+        for _ in range(2)
+    )
+    assert len(compiled) == 65 and compiled == cached
