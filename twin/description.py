@@ -47,8 +47,9 @@ class JointDescription:
         friction: Dry friction of gear and motor at the joint [N m, or N for a slide].
         cover_points: (k, 3) points in the link's frame [m]; spheres about them of the arm's
             `cover_radius` cover the link.
-        zero_sigma: Standard deviation of the measured position's zero, with the gear's play
-            [rad or m].
+        zero_sigma: Standard deviation of the measured position's zero [rad or m].
+        rest: Distance from the middle of the gear's play at which the joint rests [rad or m], to
+            the one side or to the other; joints that bear a load rest on the same side.
         place_sigma: Standard deviation of the joint's place along each axis [m].
     """
 
@@ -62,6 +63,7 @@ class JointDescription:
     friction: float = 0.0
     cover_points: FloatArray = dataclasses.field(default_factory=lambda: np.zeros((0, 3)))
     zero_sigma: float = 0.0
+    rest: float = 0.0
     place_sigma: float = 0.0
 
 

@@ -152,16 +152,17 @@ def as_stated(robot: RobotDescription, named: RealismName | Realism) -> RobotDes
     if stated.arm is None:
         return stated
     zero = chosen.sensor_errors.encoder_zero if chosen.sensor_errors else 0.0
-    play, length = (
-        (0.5 * chosen.tolerances.backlash[1], chosen.tolerances.length)
+    (least, most), length = (
+        (chosen.tolerances.backlash, chosen.tolerances.length)
         if chosen.tolerances
-        else (0.0, 0.0)
+        else ((0.0, 0.0), 0.0)
     )
-    # Uniform to either side; a gear rests on either end of its play.
+    # All are uniform: zeros and lengths to either side, a gear's play between its limits.
     joints = [
         dataclasses.replace(
             joint,
-            zero_sigma=math.hypot(zero, play) / math.sqrt(3.0),
+            zero_sigma=math.hypot(zero, 0.25 * (most - least)) / math.sqrt(3.0),
+            rest=0.25 * (least + most),
             place_sigma=length / math.sqrt(3.0),
         )
         for joint in stated.arm.joints

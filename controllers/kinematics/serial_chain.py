@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.kinematics.rigid_motion import LEVEL, WEIGHTLESS, FrameMotion, LinkMotion
@@ -249,13 +250,14 @@ class SerialChain:
     def error_covariance(self) -> FloatArray:
         """Return the covariance (6 + n, 6 + n) of the errors of `error_jacobian`.
 
-        Joints out of place move the tool; their part counts as the mounting's.
+        Joints out of place move the tool; their part counts as the mounting's. What an arm bears
+        rests on the lower side of each gear's play, so that these errors add up.
         """
-        zeros = np.array([joint.zero_sigma for joint in self.joints])
+        zeros = np.diag([joint.zero_sigma**2 for joint in self.joints])
+        rests = np.array([joint.rest for joint in self.joints])
         places = sum(joint.place_sigma**2 for joint in self.joints)
-        covariance = np.diag(np.concatenate([[0.0] * 3, [places] * 3, np.square(zeros)]))
-        covariance[:6, :6] += self.mount_covariance
-        return covariance
+        mounting = np.diag([0.0] * 3 + [places] * 3) + self.mount_covariance
+        return np.asarray(block_diag(mounting, zeros + np.outer(rests, rests)))
 
     def inverse_dynamics(
         self,

@@ -25,11 +25,13 @@ class LocalizationConfig:
 
     Attributes:
         tilt: Deviation of the measured tilt about each axis [rad]: the inclinometer's noise.
+        tilt_zero: Deviation of what is the same in all measurements [rad]: its zero, and shares.
         yaw: Deviation of the base's yaw on its springs [rad].
         place: Deviation of the base's position on its springs along each axis [m].
     """
 
     tilt: float = 0.001
+    tilt_zero: float = 0.0
     yaw: float = 0.001
     place: float = 0.001
 
@@ -175,6 +177,7 @@ def localize(
     how = config or LocalizationConfig()
     pose = camera.transform_camera_to_world
     level = pose * camera_in_level(arm, angles, tilt).inv()
-    covariance = camera.covariance + transport_covariance(level, how.base_covariance())
+    base = how.base_covariance() + np.diag([how.tilt_zero**2] * 2 + [0.0] * 4)
+    covariance = camera.covariance + transport_covariance(level, base)
     by_arm = arm_errors(arm, angles, tilt, level)
     return RobotLocalization(arm, level, covariance, by_arm, how)

@@ -190,7 +190,8 @@ class PanelSearch:
         self.hiding = np.zeros((0, 3))
         self._eye = np.full(2, np.inf)  # From where views were taken last, and what they showed.
         self._tried = np.zeros(len(self.places), bool)
-        self._empty = np.zeros(len(self.places), bool)  # Places where nothing stands.
+        # Places where nothing stands, and those for which that tells nothing more.
+        self._empty = np.zeros(len(self.places), bool)
         self._spot: FloatArray | None = None  # Where it was sighted last.
         # Discs of the site and what they made likely, until the next view.
         self._found: tuple[FloatArray, FloatArray] | None = None
@@ -323,7 +324,8 @@ class PanelSearch:
         shares = np.repeat(supports / (supports.sum() * counts), counts)
         self.weights[self._seen] = c.sighted * shares
         self.weights /= self.weights.sum()
-        self._tried[self._seen] = self._empty[self._seen] = False
+        self._tried[self._seen] = False
+        self._empty[self._seen] = True  # What is seen stands there, whatever the map shows.
         self._spot = shares @ places[:, :2]
         self._found = None
 

@@ -169,6 +169,7 @@ class VisualOdometry:
         self.turn_share, self.distance, self.turned = steer.turn_share, 0.0, 0.0
         self.slide, self._drawn_share = steer.slide, steer.turn_share
         self.covariance = np.zeros((6, 6))
+        self._upright = np.zeros(2)  # Variance of the frame's own tilt [rad^2].
         self.seen, self.missed, self.slip = 0, 0, 0.0
 
     @property
@@ -264,6 +265,8 @@ class VisualOdometry:
     def localize(self, found: RobotLocalization, time: float) -> None:
         """Take over a pose that was measured by a target; its frame becomes the estimate's.
 
+        The first one has defined that frame: it is level but for the error of its tilt.
+
         Args:
             found: Localization of the rover.
             time: Time of the pair, by the robot's clock [s].
@@ -271,6 +274,8 @@ class VisualOdometry:
         past = self._past(time)
         self._pose = found.transform_level_to_world * tilt_to_level(past.tilt)
         self.covariance, self._at = found.robot_covariance(), past
+        if not self._upright.any():
+            self._upright = np.diag(self.covariance)[:2].copy()
         # Of the views only the one that showed the target keeps its place in the new frame.
         camera = self._pose * self._arm.tool_in_robot(past.angles)
         same = [view for view in self._views if view.past.time == past.time]
@@ -388,15 +393,29 @@ class VisualOdometry:
         """Correct the pose's tilt by the inclinometer, whose zero and scale stay wrong."""
         config, level = self._config, levelled(self._pose)
         sigma = config.tilt_driving if past.moving else config.tilt_at_rest
-        lasting = np.maximum(config.tilt_at_rest**2 - np.diag(self.covariance)[:2], 0.0)
-        covariance = self.covariance + transport_covariance(level, np.diag([*lasting, 0, 0, 0, 0]))
+        lasting = config.tilt_at_rest**2 + self._upright
+        covariance = _tilted(self.covariance, lasting, level)
         # Against a pose of the same yaw, of which the inclinometer tells nothing.
         measured = level.rotation * tilt_to_level(past.tilt).rotation
         error = (measured * self._pose.rotation.inv()).as_rotvec()[:2]
-        gain = covariance[:, :2] @ np.linalg.inv(covariance[:2, :2] + sigma**2 * np.eye(2))
+        noise = np.diag(sigma**2 + self._upright)
+        gain = covariance[:, :2] @ np.linalg.inv(covariance[:2, :2] + noise)
         self._pose = RigidTransform.from_exp_coords(gain @ error) * self._pose
         covariance = covariance - gain @ covariance[:2]
-        self.covariance = 0.5 * (covariance + covariance.T)
+        self.covariance = _tilted(0.5 * (covariance + covariance.T), lasting, level)
+
+
+def _tilted(covariance: FloatArray, least: FloatArray, pose: RigidTransform) -> FloatArray:
+    """Return a covariance (6, 6) of a pose whose tilt about itself is no surer than that.
+
+    Args:
+        covariance: (6, 6) covariance in the frame.
+        least: (2,) variances of the tilt [rad^2].
+        pose: The pose in the frame.
+    """
+    lacking = np.maximum(least - np.diag(covariance)[:2], 0.0)
+    about = RigidTransform.from_translation(pose.translation)
+    return covariance + transport_covariance(about, np.diag([*lacking, 0, 0, 0, 0]))
 
 
 def _turned(pose: RigidTransform, turn: float) -> RigidTransform:

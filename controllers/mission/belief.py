@@ -16,6 +16,7 @@ from controllers.mission.radio import SlotPose
 from controllers.mission.site import SiteDrawing
 from controllers.motion.base_tilt import TiltAxis, drawn_springs, roll_axis
 from controllers.motion.driving import SkidSteer
+from controllers.placement.mapped_ground import GroundConfig, MappedGround
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import composed_covariance, transport_covariance
 from perception.voxels.grid import VoxelGrid
@@ -178,6 +179,18 @@ class MissionBelief:
         place = turn @ self.partner.covariance[3:, 3:] @ turn.T
         unsure = min(2.0 * math.sqrt(place[0, 0] + place[1, 1]), _UNSURE)
         return np.vstack([discs, [*there.translation[:2], _PARTNER + unsure]])
+
+    def mapped_ground(self) -> MappedGround:
+        """Return what is mapped: the voxels of the site, and what paths lead around.
+
+        Where the site's structures and the other rover stand, the voxels alone tell.
+        """
+        to_ground = self.transform_ground_to_map.inv()
+        columns = np.asarray(to_ground.apply(self.navigator.columns(GroundConfig().climb)))
+        discs = self.discs()
+        apart = np.linalg.norm(columns.reshape(-1, 1, 3)[..., :2] - discs[:, :2], axis=2)
+        further = columns.reshape(-1, 3)[np.all(apart > discs[:, 2], axis=1)]
+        return MappedGround(self.map.voxels.surface(), to_ground, further=further)
 
     def partner_place(self) -> FloatArray | None:
         """Return (2,) the other rover's place in the ground frame [m]; None if it is unknown."""

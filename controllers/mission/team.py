@@ -18,7 +18,6 @@ from controllers.mission.stages.identify import SwingArm
 from controllers.mission.stages.insert import GuideInsertion, InsertCard
 from controllers.mission.stages.map_site import MapSite
 from controllers.mission.stages.search import SearchPanel
-from controllers.placement.mapped_ground import MappedGround
 from controllers.placement.task import PlacementError
 from twin.link import Link
 from twin.robot import Command, Observation
@@ -167,7 +166,7 @@ def best_station(belief: MissionBelief, occluders: bool) -> CameraStation:
         StageError: If there is none.
     """
     to_map, reason = belief.transform_ground_to_map, ""
-    ground = MappedGround(belief.map.voxels.surface(), to_map.inv()) if occluders else None
+    ground = belief.mapped_ground() if occluders else None
     for room in _ROOMS:
         stands = belief.navigator.standing_places(room)
         try:

@@ -50,9 +50,10 @@ class MappedGround:
         transform_map_to_ground: Transform from the map's frame to the ground frame, which is level
             with z = 0 on the ground.
         config: Size of the rover and limits of obstacles.
+        further: (M, 3) further points of obstacles [m], ground frame; None for none.
 
     Attributes:
-        points: (N, 3) surface points above the ground [m], ground frame.
+        points: (N, 3) points of obstacles [m], ground frame.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class MappedGround:
         surface: Surface | None,
         transform_map_to_ground: RigidTransform,
         config: GroundConfig | None = None,
+        further: ArrayLike | None = None,
     ) -> None:
         self._config = config or GroundConfig()
         self.points = np.zeros((0, 3))
@@ -68,6 +70,8 @@ class MappedGround:
             # A point whose height is as uncertain as it is high is not above the ground.
             sigma = np.sqrt(np.einsum("nii->n", surface.covariances))
             self.points = places[places[:, 2] - sigma > self._config.climb]
+        if further is not None:
+            self.points = np.vstack([self.points, np.reshape(further, (-1, 3))])
 
     @functools.cached_property
     def _obstacles(self) -> FloatArray:

@@ -7,6 +7,7 @@ make up for the heading, the rover arrives as its path leads it. At its place it
 again; if it has missed it, it drives anew.
 """
 
+import contextlib
 import math
 from collections.abc import Callable
 
@@ -97,7 +98,9 @@ class GoToPlace(DrivingPart):
     def _go(self, seen: Observation) -> Behaviour:
         """Drive to the place once; dock if there is room for that."""
         if self._reason:
-            self.place, self._reason = self._choose(), ""
+            with contextlib.suppress(StageError):  # Else the place of before, once a way is found.
+                self.place = self._choose()
+            self._reason = ""
         if self._near[1] >= _ANY_WAY:
             return (yield from self._drive(seen, *self._as_led()))
         (place, heading), (off, turn) = self._goal(), self._off()

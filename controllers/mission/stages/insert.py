@@ -23,7 +23,6 @@ from controllers.mission.radio import MissionRadio, RadioPort, SlotPose
 from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
 from controllers.motion.base_tilt import BaseTilt, drawn_springs
-from controllers.placement.mapped_ground import MappedGround
 from twin.robot import Command, Observation
 
 _GUIDED = (InsertionStage.WAIT, InsertionStage.APPROACH, InsertionStage.ALIGN)
@@ -95,7 +94,7 @@ class GuideInsertion:
         if not self._occluders:
             return None
         belief, to_ground = self._belief, self._belief.site.insertion.transform_slot_to_ground
-        ground = MappedGround(belief.map.voxels.surface(), belief.transform_ground_to_map.inv())
+        ground = belief.mapped_ground()
         normal = to_ground.rotation.apply([0.0, 0.0, 1.0])
         points = ground.before(np.asarray(to_ground.translation), normal)
         return Surroundings.of(np.asarray((slot * to_ground.inv()).apply(points)).reshape(-1, 3))

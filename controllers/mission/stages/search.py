@@ -19,7 +19,6 @@ from controllers.mapping.panel_search import (
     Viewpoint,
 )
 from controllers.mapping.searching import aim
-from controllers.mapping.stereo_view import MapperConfig
 from controllers.mission.behaviours import (
     DRIVING,
     Behaviour,
@@ -141,7 +140,7 @@ class SearchPanel(DrivingPart):
             found = navigator.take(seen, at_rest=True)
             sighted = [] if found is not None else self._sight(seen)
             if len(sighted) == 1 and _is_enough(sighted[0]):
-                found = self._localized(seen, sighted[0])
+                found = self._navigator.localized_by(seen, sighted[0])
             if found is not None:
                 self._belief.localize(found)
                 return seen
@@ -255,13 +254,6 @@ class SearchPanel(DrivingPart):
         views = RigidTransform.from_exp_coords(xi) * sighted.transform_camera_to_world
         panel_to_ground = self._belief.site.transform_panel_to_ground
         return self._cloud(camera * views.inv() * panel_to_ground.inv())
-
-    def _localized(self, seen: Observation, sighted: CameraPose) -> RobotLocalization:
-        """Return the localization of the rover by a view from far."""
-        angles = np.asarray(seen.arm_angles.value, dtype=float)
-        tilt = np.asarray(seen.inclinometer.value, dtype=float)
-        config = MapperConfig().localization
-        return self._belief.map.localized(self._arm, angles, tilt, sighted, config)
 
     def _possible_places(self) -> PanelSearch:
         """Return where the panel may be, by what is known of the initial pose."""

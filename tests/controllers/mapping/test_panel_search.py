@@ -101,7 +101,10 @@ def test_where_the_map_shows_bare_ground_no_target_stands():
         search.stands(ground)
         left = np.array([CONFIG.empty, 1.0, 1.0, 1.0, 1.0, 1.0])
         np.testing.assert_allclose(search.weights, left / left.sum())
+    # What a view shows there speaks against the map, not the other way round.
     search.sight(cloud_of(places[0]))
+    search.stands(ground)
+    assert search.sighted and search.weights.max() == pytest.approx(CONFIG.sighted)
     assert search.weights.sum() == pytest.approx(1.0)
 
 

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import camera_arm, stereo_geometry
+from controllers.mapping.localization import RobotLocalization
 from controllers.mapping.visual_odometry import VisualOdometry, VisualOdometryConfig, levelled
 from controllers.motion.driving import SkidSteer
 from perception.registration.checks import RegistrationError
@@ -249,7 +250,29 @@ def test_the_inclinometer_keeps_the_frame_level_but_is_not_averaged_to_nothing()
         odometry.see(time - 0.01, IMAGE, POINTS)
     tilt = odometry.pose().rotation.as_euler("ZXY")[1:]
     assert np.degrees(np.abs(tilt)).max() < 3.0  # 40 without it
-    assert np.sqrt(odometry.covariance[0, 0]) > 0.5 * VisualOdometryConfig().tilt_at_rest
+    assert np.sqrt(odometry.covariance[0, 0]) >= VisualOdometryConfig().tilt_at_rest
+
+
+def test_a_frame_stays_as_unsure_of_what_is_upright_as_the_view_that_defined_it():
+    """Its own zero lies in the same error: no inclinometer, and no later view, tells it there."""
+    odometry, matcher = rover()
+    time = drive(odometry, 0.0, 0.0, 0.1)
+    odometry.see(time, IMAGE, POINTS)
+    at_rest, first, ahead = VisualOdometryConfig().tilt_at_rest, np.array([0.03, 0.01]), 0.1
+    for sigmas in (first, np.array([0.004, 0.004])):
+        place = RigidTransform.from_translation(
+            [0.0, float(odometry.level_pose().translation[1]), 0.0]
+        )
+        variances = np.square([*sigmas, 0.01, 0.01, 0.01, 0.01])
+        found = RobotLocalization(ARM, place, np.diag(variances), np.zeros((6, 6 + len(ARM))))
+        odometry.localize(found, time)
+        for _ in range(8):
+            forward = RigidTransform.from_translation([0.0, ahead, 0.0])
+            matcher.motions.append(camera_motion(odometry, forward))
+            time = drive(odometry, ahead, 0.0, 1.0, time)
+            odometry.see(time - 0.01, IMAGE, POINTS)
+        tilts = np.sqrt(np.diag(odometry.covariance)[:2])
+        np.testing.assert_allclose(tilts, np.hypot(first, at_rest), rtol=0.1)
 
 
 def test_levelled_keeps_place_and_yaw():

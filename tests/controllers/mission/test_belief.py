@@ -97,3 +97,26 @@ def test_the_other_rovers_place_is_kept_off_and_more_of_it_where_it_is_not_sure(
 def test_a_missing_inclinometer_stops_the_mission_with_its_name() -> None:
     with pytest.raises(RobotError, match="inclinometer of rover1 is missing"):
         tilt_of(Observation(0.0), MASTER)
+
+
+def test_what_stands_on_the_mapped_ground_hides_the_slot_too() -> None:
+    """A pillar of 0.3 m in ground that slopes by a tenth; slot and partner are in other hands."""
+    belief = localized(MASTER)
+    ground, to_map = belief.navigator.ground, belief.transform_ground_to_map
+    centres = ground.grid.centres.reshape(-1, 2)
+    in_map = np.column_stack([centres, np.zeros(len(centres))])
+    places = np.asarray(to_map.apply(in_map, inverse=True))[:, :2].reshape(*ground.grid.shape, 2)
+    slope = to_map.translation[2] + 0.1 * places[..., 0]
+    about = np.linalg.norm(places, axis=-1) < 2.0
+    ground.heights[about], ground.variances[about] = slope[about], 1e-6
+    for x, y in ((0.6, 0.1), (0.0, 0.1)):  # The pillar, and what is mapped of the slot.
+        ground.heights[np.abs(places - (x, y)).max(axis=-1) < 0.05] += 0.3
+    assert not len(belief.map.voxels.surface().means)
+    points = belief.mapped_ground().points
+    assert np.abs(points[:, :2] - (0.6, 0.1)).max() < 0.07
+    above = points[:, 2] - 0.1 * points[:, 0]
+    assert above.max() == pytest.approx(0.3, abs=0.01) and -1e-3 < above.min() < 0.03
+    # As many as voxels of a cell's side in the pillar, whose rim may lie beside it.
+    assert len(points) == pytest.approx(0.1 * 0.1 * 0.3 / ground.grid.cell**3, rel=0.3)
+    occluders = belief.mapped_ground().occluders(np.array([0.0, 0.0, 0.3]), np.array([1.0, 0, 0]))
+    assert len(occluders) > 0

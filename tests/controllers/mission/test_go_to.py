@@ -52,6 +52,19 @@ def test_after_a_drive_that_failed_the_place_is_chosen_anew(monkeypatch):
     assert stage.done and went == [(2.0, 0.0), (3.0, 0.0)] and stage.place == (3.0, 0.0, 0.0)
 
 
+def test_where_no_other_place_is_within_reach_it_is_that_of_before(monkeypatch):
+    stage, went = stage_with(monkeypatch, lambda count: count == 3)
+
+    def none():
+        raise StageError("place", "no pose sees the slot")
+
+    stage._choose = none  # pyright: ignore
+    stage.step(seen_at(0.01))
+    assert stage.done and went == [(2.0, 0.0)] * 3
+    with pytest.raises(StageError, match="no pose"):
+        GoBy("place", belief_of(SLAVE), none, (0.05, 0.1))
+
+
 def test_drives_that_all_fail_end_the_stage_with_the_reason(monkeypatch):
     stage, went = stage_with(monkeypatch, lambda count: False)
     with pytest.raises(StageError, match="10 drives: there is no path"):

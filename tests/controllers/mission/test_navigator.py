@@ -182,6 +182,24 @@ def test_what_held_a_rover_is_rather_gone_around_after_it_backed_off():
     assert 3.0 < lengths[0] < 12.0
 
 
+def test_a_rover_that_could_not_turn_at_a_place_twice_turns_elsewhere():
+    """Its path leads over the place where it backed off once, and around it from then on."""
+    rover = Rolling()
+    put_box(rover.navigator, 5.0, 5.0)
+    goal = np.array([0.0, 2.0])
+    for tried, straight in ((1, True), (2, False)):
+        rover.navigator.back_off(held=False)
+        rover.drive()
+        assert rover.navigator.place[1] < -0.2
+        path = rover.navigator.path_to(goal)
+        assert path is not None
+        between = np.linspace(path[:-1], path[1:], 50).reshape(-1, 2)
+        away = np.linalg.norm(between, axis=1).min()
+        assert (away < 0.05) == straight and (straight or away > 0.25), tried
+        rover.navigator.follow(np.array([rover.navigator.place, [0.0, 0.0]]), 0.0)
+        rover.drive()
+
+
 def test_a_rover_backs_off_where_there_is_room_for_that():
     for boxes, expected in (((), -0.25), ((-0.45,), 0.25), ((-0.45, 0.45), 0.0)):
         rover = Rolling()
@@ -240,14 +258,30 @@ def test_a_rover_that_turns_from_one_path_to_another_on_the_spot_stops(monkeypat
         assert bool(rover.navigator.blocked) == (turn > 6) and not rover.navigator.held
 
 
-def test_a_pair_is_due_after_some_way_or_turn():
+def taken():
+    """A rover that has just taken a pair."""
     rover = Rolling()
     rover.navigator._taken = (0.0, 0.0)  # pyright: ignore
+    rover.navigator._stamp = rover.time  # pyright: ignore
+    rover.seen = rover.tick()
+    return rover
+
+
+def test_a_pair_is_due_after_some_time_however_little_the_wheels_turn():
+    rover = taken()
+    ticks = 1
+    while not rover.navigator.is_due(rover.seen):
+        rover.seen = rover.tick()
+        ticks += 1
+    assert 0.01 * ticks == pytest.approx(NavigatorConfig().longest, abs=0.03)
+
+
+def test_a_pair_is_due_after_some_way_or_turn():
+    rover = taken()
     assert not rover.navigator.is_due(rover.seen)
     rolling = SkidSteer.of(ROBOT, rover.navigator.odometry.turn_share)
     for forward, turn in ((0.2, 0.0), (0.0, 0.3)):
-        rover = Rolling()
-        rover.navigator._taken = (0.0, 0.0)  # pyright: ignore
+        rover = taken()
         rover.wheels = rolling.wheel_speeds(forward, turn)
         ticks = 0
         while not rover.navigator.is_due(rover.seen):
