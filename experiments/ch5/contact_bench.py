@@ -16,6 +16,7 @@ from twin.sensors import IDEAL, ChannelSpec, with_errors
 
 NEAR = 5e-4
 """Distance within which a contact is at a corner [m]; the solver's overlap stays below 0.1 mm."""
+_PLANE = [0, 1, 5]  # The hand's joints in the slot's plane: across, ahead and turn.
 LEAST_SHARE = 0.05
 """A contact with less of the largest force does not count."""
 
@@ -89,18 +90,35 @@ class Bench:
             self.model.jnt_stiffness[:] *= hand.springs
             self.model.dof_damping[:] *= hand.dampers
         self.stiffness = self.model.jnt_stiffness.copy()
+        self._wanted = np.zeros(3)
+
+    def place(self, pose: FloatArray, command: FloatArray | None = None) -> None:
+        """Put the card at a pose (3,) [m, m, rad], at rest, and begin anew.
+
+        Args:
+            pose: Pose of the card.
+            command: Pose that the hand is commanded to; None for the same.
+        """
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[_PLANE] = pose
+        self._wanted = np.array(pose if command is None else command, dtype=float)
+        self.model.qpos_spring[_PLANE] = self._wanted
 
     def command(self, pose: FloatArray) -> None:
-        """Move the hand's carrier: (3,) [m, m, rad]."""
-        self.data.mocap_pos[0] = [pose[0], pose[1], 0.0]
-        half = pose[2] / 2.0
-        self.data.mocap_quat[0] = [math.cos(half), 0.0, 0.0, math.sin(half)]
+        """Let the next step take the hand to a pose: (3,) [m, m, rad]."""
+        self._wanted = np.array(pose, dtype=float)
 
     def step(self, seconds: float) -> float:
         """Advance by a time [s] and return the largest contact force meanwhile [N]."""
-        largest = 0.0
-        for _ in range(max(1, round(seconds / self.model.opt.timestep))):
-            mujoco.mj_step(self.model, self.data)
+        largest, model = 0.0, self.model
+        count = max(1, round(seconds / model.opt.timestep))
+        rest = model.qpos_spring[_PLANE].copy()
+        way = (self._wanted - rest) / count
+        # Springs and dampers are those between the card and a hand that moves.
+        self.data.qfrc_applied[_PLANE] = model.dof_damping[_PLANE] * way / model.opt.timestep
+        for tick in range(count):
+            model.qpos_spring[_PLANE] = rest + (tick + 1) * way
+            mujoco.mj_step(model, self.data)
             if self.data.ncon:
                 largest = max(largest, math.hypot(*self.contact_wrench()[:2]))
         return largest
@@ -185,14 +203,6 @@ def press(bench: Bench, pose: FloatArray, wrench: FloatArray, seconds: float = 0
         wrench: (3,) wrench by the slot on the card, card's frame [N, N, N m].
         seconds: Time to come to rest [s].
     """
-    force = turn(pose[2]) @ wrench[:2]
-    # Its springs' axes are those of the carrier, which turns with the command.
-    command = pose - [0.0, 0.0, wrench[2] / bench.stiffness[5]]
-    frame = turn(command[2])
-    command[:2] -= frame @ ((frame.T @ force) / bench.stiffness[:2])
-    mujoco.mj_resetData(bench.model, bench.data)
-    bench.command(command)
-    # The hand's joints turn with the carrier.
-    bench.data.qpos[:2] = turn(command[2]).T @ (pose[:2] - command[:2])
-    bench.data.qpos[5] = pose[2] - command[2]
+    load = np.array([*(turn(pose[2]) @ wrench[:2]), wrench[2]])
+    bench.place(pose, pose - load / bench.stiffness[_PLANE])
     bench.step(seconds)

@@ -249,7 +249,7 @@ def run_insertion(job: InsertionJob) -> InsertionResult:
     start = np.array([0.0, -STAND_OFF, 0.0])
     guide = (InsertionGuide if job.guided else StraightInsertion)(config, start)
     sensor = WrenchNoise(NOISE, FORCE_TORQUE.force_noise, FORCE_TORQUE.torque_noise)
-    bench.command(start + wrong)
+    bench.place(start + wrong)
     peak, course = 0.0, []
     for tick in range(round(LIMIT / config.period)):
         command = guide.step(_felt(bench.sensed, sensor, rng))

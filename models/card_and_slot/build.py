@@ -9,6 +9,8 @@ from models.datasheets import CARD_AND_SLOT, HAND
 PAINT = 3e-5
 """Half thickness of a marker [m]: a thick one shows its edge, from the side."""
 _HIDDEN = {"contype": 0, "conaffinity": 0, "mass": 0.0}
+CONTACT = {"solref": [0.004, 1.0], "friction": [CARD_AND_SLOT.friction, 0.005, 1e-4]}
+"""Contact as hard as a step of 1 ms allows."""
 _DISC = "marker_disc"
 _RIM = 128
 """Corners of a marker's rim. MuJoCo draws its own cylinders with 28, which are 0.8 % smaller than
@@ -39,11 +41,11 @@ def add_card(scene: mujoco.MjSpec, parent: mujoco.MjsBody, prefix: str = "") -> 
         pos=[0.0, -half[1], 0.0],
         mass=8.0 * math.prod(half) * sheet.card_density,
         rgba=[0.10, 0.42, 0.22, 1.0],
-        **_contact(),
+        **CONTACT,
     )
     body.add_site(name=f"{prefix}card_wrench", size=[0.002] * 3, group=4)
     for index, (x, y) in enumerate(sheet.card_markers):
-        _add_marker(scene, body, f"{prefix}card_marker{index}", x, y, half[2])
+        add_marker(scene, body, f"{prefix}card_marker{index}", x, y, half[2])
     return body
 
 
@@ -78,9 +80,9 @@ def add_slot(
             size=half,
             pos=[side * (width / 2.0 + half[0]), half[1], 0.0],
             rgba=[0.20, 0.21, 0.25, 1.0],
-            **_contact(),
+            **CONTACT,
         )
-        _add_marker(
+        add_marker(
             scene,
             body,
             f"{prefix}slot_marker{index}",
@@ -92,13 +94,14 @@ def add_slot(
 
 
 def compile_bench(width: float, friction: float = CARD_AND_SLOT.friction) -> mujoco.MjModel:
-    """Compile the slot at the origin and the card on a compliant hand on a moved carrier.
+    """Compile the slot at the origin and the card on a compliant hand.
 
-    The carrier is a mocap body, to be put where the hand is commanded. Between it and the body
-    ``hand`` are three slides and three hinges with `datasheets.HAND`'s springs. There is no
-    gravity: the wrench sensor is tared. Sensors ``card_force`` and ``card_torque`` at the site
-    ``card_wrench``, in the card's frame, read what the hand puts on the card; at rest that is the
-    negative of what the slot puts on it.
+    The body ``hand`` has three slides and three hinges with `datasheets.HAND`'s springs, whose rest
+    (``qpos_spring``) is where the hand is commanded: a moved carrier, as a mocap body would be, has
+    no velocity in MuJoCo, and what it holds slides without friction. There is no gravity: the
+    wrench sensor is tared. Sensors ``card_force`` and ``card_torque`` at the site ``card_wrench``,
+    in the card's frame, read what the hand puts on the card; at rest that is the negative of what
+    the slot puts on it.
 
     Args:
         width: Distance between the slot's walls [m].
@@ -110,8 +113,14 @@ def compile_bench(width: float, friction: float = CARD_AND_SLOT.friction) -> muj
     Raises:
         ValueError: If the width is not a positive length or the friction is negative.
     """
-    if not 0.0 <= friction < math.inf:
-        raise ValueError(f"friction {friction}: expected 0 or more")
+    spec = bench_scene()
+    add_slot(spec, spec.worldbody, width)
+    add_card(spec, spec.body("hand"))
+    return compiled(spec, friction)
+
+
+def bench_scene() -> mujoco.MjSpec:
+    """Return a scene with a compliant hand, for card and slot."""
     spec = mujoco.MjSpec()
     spec.modelname = "card_and_slot"
     option = spec.option
@@ -128,24 +137,38 @@ def compile_bench(width: float, friction: float = CARD_AND_SLOT.friction) -> muj
         height=64,
     )
     spec.worldbody.add_light(pos=[0.0, 0.0, 1.0], dir=[0.0, 0.0, -1.0])
-    add_slot(spec, spec.worldbody, width)
-    add_card(spec, _add_hand(spec.worldbody.add_body(name="carrier", mocap=True)))
-    for geom in spec.geoms:
+    _add_hand(spec.worldbody)
+    return spec
+
+
+def compiled(bench: mujoco.MjSpec, friction: float) -> mujoco.MjModel:
+    """Compile a bench with card and slot, and sensors of what the hand puts on the card.
+
+    Args:
+        bench: Scene with hand, card and slot.
+        friction: Coefficient of friction between card and slot.
+
+    Raises:
+        ValueError: If the friction is negative.
+    """
+    if not 0.0 <= friction < math.inf:
+        raise ValueError(f"friction {friction}: expected 0 or more")
+    for geom in bench.geoms:
         geom.friction[0] = friction
     for name, kind in (
         ("card_force", mujoco.mjtSensor.mjSENS_FORCE),
         ("card_torque", mujoco.mjtSensor.mjSENS_TORQUE),
     ):
-        spec.add_sensor(
+        bench.add_sensor(
             name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="card_wrench"
         )
-    return spec.compile()
+    return bench.compile()
 
 
-def _add_hand(carrier: mujoco.MjsBody) -> mujoco.MjsBody:
+def _add_hand(parent: mujoco.MjsBody) -> mujoco.MjsBody:
     """Add the body ``hand`` on the springs of its six degrees of freedom."""
     # MuJoCo must have an inertia; the joints' armature, that of rotors, is a hundred times this.
-    hand = carrier.add_body(name="hand", mass=HAND.mass, inertia=[1e-4] * 3)
+    hand = parent.add_body(name="hand", mass=HAND.mass, inertia=[1e-4] * 3)
     hand.explicitinertial = True
     for kind, turn in ((_SLIDE, False), (_HINGE, True)):
         for axis, letter in enumerate("xyz"):
@@ -160,14 +183,19 @@ def _add_hand(carrier: mujoco.MjsBody) -> mujoco.MjsBody:
     return hand
 
 
-def _contact() -> dict[str, list[float]]:
-    """Contact as hard as a step of 1 ms allows."""
-    return {"solref": [0.004, 1.0], "friction": [CARD_AND_SLOT.friction, 0.005, 1e-4]}
-
-
-def _add_marker(
+def add_marker(
     scene: mujoco.MjSpec, body: mujoco.MjsBody, name: str, x: float, y: float, top: float
 ) -> None:
+    """Add a round marker that touches nothing, on the face of a body at a height [m].
+
+    Args:
+        scene: Scene of the body.
+        body: Body that carries the marker.
+        name: Name of the marker.
+        x: Place of its middle across [m].
+        y: Place of its middle ahead [m].
+        top: Height of the face above the body's middle [m].
+    """
     if scene.mesh(_DISC) is None:
         disc = scene.add_mesh(name=_DISC, inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL)
         disc.scale = [CARD_AND_SLOT.marker_diameter / 2.0] * 2 + [PAINT]

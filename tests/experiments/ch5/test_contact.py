@@ -35,10 +35,41 @@ def test_mujoco_contacts_agree_with_geometry_and_the_hand_senses_them(state, sid
 
 def test_a_card_that_touches_nothing_is_in_no_state():
     bench = Bench(MEDIUM)
-    bench.command(np.array([0.0, -0.02, 0.0]))
+    bench.place(np.array([0.0, -0.02, 0.0]))
     bench.step(0.05)
     assert bench.true_state() == (0, 0)
     np.testing.assert_allclose(bench.sensed, 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("speed", [0.002, 0.02])
+@pytest.mark.parametrize("friction", [0.1, 0.3])
+def test_a_card_that_slides_along_a_wall_feels_dry_friction_of_the_push(friction, speed):
+    """A hand moves on steadily while it presses the card to the right."""
+    bench = Bench(MEDIUM)
+    bench.model.geom_friction[:, 0] = friction
+    at_wall, push = np.array([0.5 * (MEDIUM - CARD_AND_SLOT.card_width), 0.01, 0.0]), 2.0
+    pressed = at_wall + [push / bench.stiffness[0], 0.0, 0.0]
+    bench.place(at_wall, pressed)
+    wrenches = []
+    for tick in range(1, 1001):
+        bench.command(pressed + [0.0, 1e-3 * speed * tick, 0.0])
+        bench.step(1e-3)
+        wrenches.append(bench.contact_wrench())
+    # A quick one chatters.
+    across, ahead, _ = np.mean(wrenches[200:], axis=0)
+    assert across == pytest.approx(-push, rel=0.05)
+    assert ahead / across == pytest.approx(friction, rel=0.02)
+
+
+def test_a_moved_hand_lags_by_nothing_in_free_motion():
+    """Its dampers move with it: the card is where the hand is commanded, at any steady speed."""
+    bench, speed = Bench(MEDIUM), 0.02
+    bench.place(np.array([0.0, -0.1, 0.0]))
+    for tick in range(1, 201):
+        bench.command(np.array([0.0, -0.1 + 0.01 * speed * tick, 0.0]))
+        bench.step(0.01)
+    assert bench.pose[1] == pytest.approx(-0.1 + speed * 2.0, abs=2e-5)
+    assert bench.data.qvel[1] == pytest.approx(speed, rel=1e-3)
 
 
 def test_hand_as_made_gives_by_its_own_springs_and_shows_its_sensors_errors():
