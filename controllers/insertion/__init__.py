@@ -9,6 +9,7 @@ Contact, in the plane:
 
 - `contact`, `contact_states`: forces of a card in a slot, and classification of its six states.
 - `guide`: insertion in the direction of least resistance, and straight ahead for comparison.
+- `seating`: the same into card guides, until the card has snapped in.
 
 One card, two rovers: the master measures card and slot, the slave moves the card:
 

@@ -33,6 +33,7 @@ class Phase(enum.Enum):
     SLIDE = "slide"
     INSERT = "insert"
     RETREAT = "retreat"
+    SEAT = "seat"
     DONE = "done"
     FAILED = "failed"
 
@@ -245,16 +246,19 @@ class InsertionGuide:
         if self.phase is Phase.SLIDE:
             across, ahead = self._slide()
         elif self.phase is not Phase.RETREAT:
-            rate = self._turn_away()
-            load = math.hypot(self._wrench[0], self._wrench[1])
-            free = 1.0 - max(load - config.deadband, 0.0) / config.slow_force
-            ahead = config.speed * max(free, 0.0)
+            rate, ahead = self._turn_away(), self._advance_speed()
         step = turn(self.command[2]) @ [across, ahead]
         self.command += config.period * np.array([step[0], step[1], rate])
         moved = self.command - self._start
         if abs(moved[0]) > config.reach or abs(moved[2]) > config.turn_reach:
             self.command[[0, 2]] -= config.period * np.array([step[0], rate])
             self._fail("out of reach")
+
+    def _advance_speed(self) -> float:
+        """Return the speed ahead, which falls with the load."""
+        config, load = self.config, math.hypot(self._wrench[0], self._wrench[1])
+        free = 1.0 - max(load - config.deadband, 0.0) / config.slow_force
+        return config.speed * max(free, 0.0)
 
     def _slide(self) -> tuple[float, float]:
         """Return speeds across and ahead that hold the push and slide off the face."""

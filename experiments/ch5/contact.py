@@ -3,6 +3,7 @@
 The card sits in a compliant hand at the slot (`models/card_and_slot`). Nothing is seen: the guide
 gets the wrench with 2 % noise and the sensor's own, and starts up to 4 mm and 6 deg off. Each seed
 makes a hand within its springs' tolerances, whose sensor has zero, drift, scale and cross-talk.
+Beside the thesis' plain slot there are card guides with a connector, which the card snaps into.
 """
 
 import dataclasses
@@ -29,6 +30,7 @@ from experiments.ch5.contact_trial import (
     run_insertion,
     run_states,
 )
+from experiments.ch5.seating import measure_seatings
 from experiments.harness import contract
 from experiments.harness.intervals import Distribution, distribution, fraction, success_fraction
 from experiments.harness.output import Output
@@ -57,14 +59,16 @@ def run(options: Options, output: Output) -> None:
     """Classify the contact states, then insert from every misalignment, guided and not.
 
     Args:
-        options: ``quick`` takes 4 insertions a cell instead of 30, and 1 set of ten poses for each
-            state and slot instead of 10.
+        options: ``quick`` takes 4 insertions a cell instead of 30, 1 set of ten poses for each
+            state and slot instead of 10, and 1 insertion a cell into card guides instead of 30.
         output: Receives ``states_classified_fraction``, ``success/<guided or unguided>`` and
-            ``peak_force``, the same by cells, and the figures A-5 to A-7.
+            ``peak_force``, the same by cells, the figures A-5 to A-7, and what
+            `seating.measure_seatings` tells of card guides.
     """
     _states(options, output)
     cells = _insertions(options, output)
     _impossible(options, output)
+    measure_seatings(options, options.realism, output)
     _courses(options, output, cells)
 
 

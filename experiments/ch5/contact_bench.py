@@ -16,6 +16,7 @@ from twin.sensors import IDEAL, ChannelSpec, with_errors
 
 NEAR = 5e-4
 """Distance within which a contact is at a corner [m]; the solver's overlap stays below 0.1 mm."""
+_HAND = 6  # Joints of the hand; they come first.
 _PLANE = [0, 1, 5]  # The hand's joints in the slot's plane: across, ahead and turn.
 LEAST_SHARE = 0.05
 """A contact with less of the largest force does not count."""
@@ -72,25 +73,95 @@ class HandAsMade:
         return cls(springs, dampers, suite.channels["arm_base_wrench"])
 
 
-class Bench:
-    """One slot with the card in the hand; poses are planar, in the slot's frame."""
+class HandBench:
+    """A card in a hand that moves in all six directions.
 
-    def __init__(self, width: float, hand: HandAsMade | None = None) -> None:
-        """Build the bench.
+    Poses (6,) are positions along the slot's axes [m], then turns about them, one after the other
+    [rad].
 
-        Args:
-            width: Width of the slot [m].
-            hand: Hand and its sensor as made; None for the hand as drawn, with an exact sensor.
-        """
-        self.width, self.model = width, compile_bench(width)
-        self.data = mujoco.MjData(self.model)
-        self._wrench = np.zeros(6)
+    Args:
+        model: Bench as compiled, with the card at its origin.
+        hand: Hand and its sensor as made; None for the hand as drawn, with an exact sensor.
+    """
+
+    def __init__(self, model: mujoco.MjModel, hand: HandAsMade | None = None) -> None:
+        self.model, self.data = model, mujoco.MjData(model)
         self._sensor = ChannelSpec() if hand is None else hand.sensor
         if hand is not None:
-            self.model.jnt_stiffness[:] *= hand.springs
-            self.model.dof_damping[:] *= hand.dampers
-        self.stiffness = self.model.jnt_stiffness.copy()
-        self._wanted = np.zeros(3)
+            self.model.jnt_stiffness[:_HAND] *= hand.springs
+            self.model.dof_damping[:_HAND] *= hand.dampers
+        self.stiffness = self.model.jnt_stiffness[:_HAND].copy()
+        self._wanted, self._wrench = np.zeros(_HAND), np.zeros(6)
+
+    def put(self, pose: FloatArray, command: FloatArray | None = None) -> None:
+        """Put the card at a pose (6,), at rest, and begin anew.
+
+        Args:
+            pose: Pose of the card.
+            command: Pose that the hand is commanded to; None for the same.
+        """
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[:_HAND] = pose
+        self._wanted = np.array(pose if command is None else command, dtype=float)
+        self.model.qpos_spring[:_HAND] = self._wanted
+
+    def move(self, pose: FloatArray) -> None:
+        """Let the next step take the hand to a pose (6,)."""
+        self._wanted = np.array(pose, dtype=float)
+
+    def step(self, seconds: float) -> float:
+        """Advance by a time [s] and return the largest contact force meanwhile [N]."""
+        largest, model = 0.0, self.model
+        count = max(1, round(seconds / model.opt.timestep))
+        rest = model.qpos_spring[:_HAND].copy()
+        way = (self._wanted - rest) / count
+        # Springs and dampers are those between the card and a hand that moves.
+        self.data.qfrc_applied[:_HAND] = model.dof_damping[:_HAND] * way / model.opt.timestep
+        for tick in range(count):
+            model.qpos_spring[:_HAND] = rest + (tick + 1) * way
+            mujoco.mj_step(model, self.data)
+            if self.data.ncon:
+                largest = max(largest, float(np.linalg.norm(self.contact_force())))
+        return largest
+
+    @property
+    def felt(self) -> FloatArray:
+        """(6,) what the slot puts on the card as the hand's sensor has it, without noise."""
+        of, true = self._sensor, -self.data.sensordata[:6]
+        shown = np.asarray(of.scale) * true + of.bias
+        shown -= np.asarray(of.drift) * math.expm1(-self.data.time / of.warm_up)
+        if of.cross is not None:
+            shown += np.array(of.cross) @ true
+        return shown
+
+    def contact_force(self) -> FloatArray:
+        """(3,) what the contacts truly put on the card, slot's frame [N]."""
+        return sum((force for _, force in self._contacts()), np.zeros(3))
+
+    def _contacts(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Points and forces on the card, (3,) each, slot's frame."""
+        result, plate = [], self.model.geom("card_plate").id
+        for index, contact in enumerate(self.data.contact):
+            if plate not in contact.geom:
+                continue
+            mujoco.mj_contactForce(self.model, self.data, index, self._wrench)
+            force = contact.frame.reshape(3, 3).T @ self._wrench[:3]
+            sign = 1.0 if contact.geom[1] == plate else -1.0
+            result.append((contact.pos.copy(), sign * force))
+        return result
+
+
+class Bench(HandBench):
+    """One plain slot with the card in the hand; poses are planar, in the slot's frame.
+
+    Args:
+        width: Width of the slot [m].
+        hand: Hand and its sensor as made; None for the hand as drawn, with an exact sensor.
+    """
+
+    def __init__(self, width: float, hand: HandAsMade | None = None) -> None:
+        super().__init__(compile_bench(width), hand)
+        self.width = width
 
     def place(self, pose: FloatArray, command: FloatArray | None = None) -> None:
         """Put the card at a pose (3,) [m, m, rad], at rest, and begin anew.
@@ -99,29 +170,11 @@ class Bench:
             pose: Pose of the card.
             command: Pose that the hand is commanded to; None for the same.
         """
-        mujoco.mj_resetData(self.model, self.data)
-        self.data.qpos[_PLANE] = pose
-        self._wanted = np.array(pose if command is None else command, dtype=float)
-        self.model.qpos_spring[_PLANE] = self._wanted
+        self.put(in_space(pose), None if command is None else in_space(command))
 
     def command(self, pose: FloatArray) -> None:
         """Let the next step take the hand to a pose: (3,) [m, m, rad]."""
-        self._wanted = np.array(pose, dtype=float)
-
-    def step(self, seconds: float) -> float:
-        """Advance by a time [s] and return the largest contact force meanwhile [N]."""
-        largest, model = 0.0, self.model
-        count = max(1, round(seconds / model.opt.timestep))
-        rest = model.qpos_spring[_PLANE].copy()
-        way = (self._wanted - rest) / count
-        # Springs and dampers are those between the card and a hand that moves.
-        self.data.qfrc_applied[_PLANE] = model.dof_damping[_PLANE] * way / model.opt.timestep
-        for tick in range(count):
-            model.qpos_spring[_PLANE] = rest + (tick + 1) * way
-            mujoco.mj_step(model, self.data)
-            if self.data.ncon:
-                largest = max(largest, math.hypot(*self.contact_wrench()[:2]))
-        return largest
+        self.move(in_space(pose))
 
     @property
     def pose(self) -> FloatArray:
@@ -132,12 +185,7 @@ class Bench:
     @property
     def sensed(self) -> FloatArray:
         """(3,) what the slot puts on the card as the hand's sensor has it, without noise."""
-        of, true = self._sensor, -self.data.sensordata[:6]
-        shown = np.asarray(of.scale) * true + of.bias
-        shown -= np.asarray(of.drift) * math.expm1(-self.data.time / of.warm_up)
-        if of.cross is not None:
-            shown += np.array(of.cross) @ true
-        return shown[[0, 1, 5]]
+        return self.felt[_PLANE]
 
     @property
     def zero(self) -> FloatArray:
@@ -150,18 +198,18 @@ class Bench:
         """(3,) what the contacts truly put on the card, card's frame."""
         total, pose = np.zeros(3), self.pose
         for point, force in self._contacts():
-            x, y = point - pose[:2]
-            total += [*(turn(pose[2]).T @ force), x * force[1] - y * force[0]]
+            x, y = point[:2] - pose[:2]
+            total += [*(turn(pose[2]).T @ force[:2]), x * force[1] - y * force[0]]
         return total
 
     def touched(self) -> list[FloatArray]:
         """Return where contacts press on the card, (2,) each, card's frame [m]."""
         pose = self.pose
-        return [turn(pose[2]).T @ (point - pose[:2]) for point, _ in self._contacts()]
+        return [turn(pose[2]).T @ (point[:2] - pose[:2]) for point, _ in self._contacts()]
 
     def true_state(self) -> tuple[int, int]:
         """Return state and side by MuJoCo's contacts; (0, 0) if they are none of the six."""
-        found = [(point, np.linalg.norm(force)) for point, force in self._contacts()]
+        found = [(point[:2], np.linalg.norm(force[:2])) for point, force in self._contacts()]
         least = LEAST_SHARE * max((force for _, force in found), default=0.0)
         pairs = {
             (self._touch(point), 1 if point[0] > 0.0 else -1)
@@ -183,15 +231,12 @@ class Bench:
             return Touch.EDGE if behind else Touch.SIDE if beside else None
         return Touch.FACE if abs(point[1]) < NEAR else Touch.WALL
 
-    def _contacts(self) -> list[tuple[FloatArray, FloatArray]]:
-        """Points and forces on the card, (2,) each, slot's frame."""
-        result, plate = [], self.model.geom("card_plate").id
-        for index, contact in enumerate(self.data.contact):
-            mujoco.mj_contactForce(self.model, self.data, index, self._wrench)
-            force = contact.frame.reshape(3, 3).T @ self._wrench[:3]
-            sign = 1.0 if contact.geom[1] == plate else -1.0
-            result.append((contact.pos[:2].copy(), sign * force[:2]))
-        return result
+
+def in_space(pose: FloatArray) -> FloatArray:
+    """Return a planar pose (3,) [m, m, rad] as one of six directions."""
+    result = np.zeros(_HAND)
+    result[_PLANE] = pose
+    return result
 
 
 def press(bench: Bench, pose: FloatArray, wrench: FloatArray, seconds: float = 0.25) -> None:

@@ -11,6 +11,8 @@ from controllers.insertion.contact import CardInSlot, contacts_of, pose_in_state
 from controllers.insertion.guide import Phase
 from experiments.ch5.contact_bench import shape_of
 from experiments.ch5.contact_trial import InsertionResult
+from experiments.ch5.seating_trial import WAYS, SeatingResult
+from experiments.harness.intervals import error_bars, success_fraction
 from models.datasheets import DEGREE, INCH
 from perception.geometry.arrays import FloatArray
 
@@ -116,6 +118,34 @@ def draw_success(
         axes.grid(alpha=0.3)
     left.legend(fontsize=8)
     figure.subplots_adjust(wspace=0.3)
+    return figure
+
+
+def draw_seatings(cells: Mapping[tuple[str, float, int], Sequence[SeatingResult]]) -> Figure:
+    """Draw success of each way into card guides over misalignment, a panel for each friction.
+
+    Args:
+        cells: Results by way, friction and third of the widest misalignment.
+    """
+    frictions = sorted({friction for _, friction, _ in cells})
+    rings = sorted({ring for _, _, ring in cells})
+    figure = Figure(figsize=(11, 3.8))
+    panels = figure.subplots(1, len(frictions), sharey=True, squeeze=False)[0]
+    for axes, friction in zip(panels, frictions):
+        for index, (way, style) in enumerate(zip(WAYS, ("o-", "s--", "^:"))):
+            shares = [
+                success_fraction(result.success for result in cells[way, friction, ring])
+                for ring in rings
+            ]
+            values, ends = error_bars(shares)
+            places = np.array(rings) + 0.06 * (index - 1)
+            axes.errorbar(places, values, ends, fmt=style, capsize=3, label=way)
+        axes.set(title=f"friction {friction:g}", xticks=rings, ylim=(-0.05, 1.05))
+        axes.set_xlabel("misalignment, thirds of the widest")
+        axes.grid(alpha=0.3)
+    panels[0].set_ylabel("seated")
+    panels[-1].legend(fontsize=8)
+    figure.subplots_adjust(wspace=0.1)
     return figure
 
 

@@ -123,6 +123,7 @@ def bench_scene() -> mujoco.MjSpec:
     """Return a scene with a compliant hand, for card and slot."""
     spec = mujoco.MjSpec()
     spec.modelname = "card_and_slot"
+    spec.compiler.degree = False
     option = spec.option
     option.timestep, option.gravity = 1e-3, [0.0, 0.0, 0.0]
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

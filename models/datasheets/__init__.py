@@ -11,7 +11,14 @@ rover without arm, above the middle of the wheelbase.
 
 from models.datasheets.arms import ARM, ROD_ARM, ArmSheet, RodArm
 from models.datasheets.braid import BRAID, MUSCLE_WIRE, BraidSheet, MuscleWireSheet
-from models.datasheets.card import CARD_AND_SLOT, HAND, CardAndSlotSheet, HandSheet
+from models.datasheets.card import (
+    CARD_AND_SLOT,
+    CARD_GUIDE,
+    HAND,
+    CardAndSlotSheet,
+    CardGuideSheet,
+    HandSheet,
+)
 from models.datasheets.clocks import CLOCK, HARSH_CLOCK, ClockSheet
 from models.datasheets.motors import (
     ARM_MOTOR,
@@ -67,10 +74,12 @@ __all__ = [
     "CAMERA",
     "CAMERA_CALIBRATION",
     "CARD_AND_SLOT",
+    "CARD_GUIDE",
     "CLOCK",
     "CameraCalibrationSheet",
     "CameraSheet",
     "CardAndSlotSheet",
+    "CardGuideSheet",
     "ClockSheet",
     "DEGREE",
     "EXACT",

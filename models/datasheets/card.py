@@ -4,7 +4,7 @@ import dataclasses
 from typing import Final
 
 from models.datasheets.tables import TABLE_2_2_TRUTH
-from models.datasheets.units import INCH
+from models.datasheets.units import DEGREE, INCH
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,5 +65,39 @@ class HandSheet:
         return TABLE_2_2_TRUTH["b_pitch"]
 
 
+@dataclasses.dataclass(frozen=True)
+class CardGuideSheet:
+    """Two card guides, an edge connector between them, and what the card has to give way to both.
+
+    Lengths [m]. A guide has a groove for the card's edge, which opens towards the mouth. The
+    connector's springs press on both faces of the card; behind them is its bottom.
+    """
+
+    clearances: tuple[float, float, float] = (1.6e-3, 0.8e-3, 0.4e-3)
+    """Beside each of the card's edges, across: easy, medium, hard."""
+    face_clearance: float = 0.4e-3
+    """Beside each of its faces: guides for boards of 1.6 mm have grooves of 2.0 to 2.5 mm."""
+    overlap: float = 4e-3  # Of the guides' lips over a card in the middle. Assumption
+    depth: float = 0.04  # From the mouth to the bottom, as the walls' of the plain slot
+    lead_in: tuple[float, float] = (1e-3, 0.010)
+    """How far a groove opens across, and over which depth. Assumption."""
+    face_lead_in: tuple[float, float] = (8e-3, 0.015)
+    """The same along the card's normal: the card's ends come 7.6 mm off it if it rolls 8 degrees.
+    Assumption."""
+    spring_radius: float = 1.5e-3  # Of a connector's spring where the card meets it. Assumption
+    interference: float = 0.4e-3  # Of each face with its spring. Assumption
+    spring_force: float = 0.88  # Preload of each spring: the card snaps in at 3.0 N [N]
+    spring_stiffness: float = 1000.0  # [N/m] Assumption
+    seat: float = 2e-3  # From the springs' middle to the bottom. Assumption
+    roll_range: float = 12.0 * DEGREE
+    """Of the gripper about the card's forward axis, each way: of compensation units (Schunk AGE)
+    that give way by up to 16 degrees."""
+    roll_stiffness: float = 0.3  # Of the gripper about that axis [N m/rad]. Assumption
+    normal_range: float = 4e-3  # Along the card's normal, each way: of the same units
+    normal_stiffness: float = 1000.0  # [N/m] Assumption
+    grip: float = 12.0  # Force ahead at which the card slips in the gripper [N]. Assumption
+
+
 CARD_AND_SLOT: Final = CardAndSlotSheet()
+CARD_GUIDE: Final = CardGuideSheet()
 HAND: Final = HandSheet()

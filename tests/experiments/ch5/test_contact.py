@@ -9,6 +9,7 @@ import pytest
 
 from controllers.insertion.contact import STATES, contacts_of, pose_in_state, wrench_cone
 from experiments.ch5 import contact as ch5_contact
+from experiments.ch5 import seating
 from experiments.ch5.contact_bench import Bench, HandAsMade, press, shape_of
 from experiments.ch5.contact_trial import InsertionJob, StateJob, run_insertion, run_states
 from experiments.harness.output import Output
@@ -150,6 +151,8 @@ def test_small_run_is_measured_and_recorded(tmp_path, monkeypatch):
     monkeypatch.setattr(ch5_contact, "RINGS", (3,))
     brief = functools.partial(StateJob, poses=2, samples=2)
     monkeypatch.setattr(ch5_contact, "StateJob", brief)
+    monkeypatch.setattr(seating, "FRICTIONS", (0.3,))
+    monkeypatch.setattr(seating, "RINGS", (1,))
     options = ch5_contact.Options(seeds=1, jobs=1, out=tmp_path, record=True)
     output = Output("ch5-contact", options)
     ch5_contact.run(options, output)
@@ -158,5 +161,10 @@ def test_small_run_is_measured_and_recorded(tmp_path, monkeypatch):
     measured = json.loads((folder / "metrics.json").read_text())["measured"]
     assert measured["states_classified_fraction"]["n"] > 0
     assert measured["success/impossible"]["mean"] == 0.0
+    for way in ("guided", "straight", "spiral"):
+        assert measured[f"success/{way}/guides"] == measured[f"success/{way}/0.3/1"]
+        assert measured[f"success/{way}/guides"]["n"] == 3
+    assert 1.5 < measured["snap_force_n"]["median"] < 6.0
+    assert (folder / "figures" / "seatings.png").is_file()
     assert (folder / "figures" / "figure_a-7.png").is_file()
     assert (folder / "run.rrd").stat().st_size > 1000

@@ -1,0 +1,118 @@
+"""Force guidance into card guides, until the card has snapped into its connector.
+
+As `guide.InsertionGuide` within the plane of the card. Out of it the card gives way along its
+normal, by which the hand follows what the guides' lips press; in roll its gripper gives way by
+itself. Before the connector a push grows until the force falls at once, the snap, and then until
+the bottom bears it.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+
+from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
+from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
+
+_NEAR = 0.006  # Distance before the bottom from which on a push is that of the connector [m].
+
+
+@dataclasses.dataclass(frozen=True)
+class SeatingConfig:
+    """What the connector asks for, and how the card gives way along its normal.
+
+    Attributes:
+        bottom: Depth at which the bottom stops the card [m].
+        snap: Force at which the connector lets the card in, as drawn [N].
+        push: Largest force of the push [N].
+        fall: Share of its peak by which a force falls that snaps.
+        bottom_force: Rise of the force by which the bottom then shows itself [N].
+        square: Largest distance of that force from the middle of a card that stands on it [m].
+        speed: Speed before the connector [m/s].
+        give: Admittance along the normal, speed over force [m/s/N].
+        deadband: Force along the normal below which the command does not yield [N].
+        reach: Largest distance along the normal from the start [m].
+    """
+
+    bottom: float
+    snap: float
+    push: float = 7.0
+    fall: float = 0.5
+    bottom_force: float = 3.0
+    square: float = 0.007
+    speed: float = 0.004
+    give: float = 0.004
+    deadband: float = 0.2
+    reach: float = 0.008
+
+    def __post_init__(self) -> None:
+        """Refuse values out of range.
+
+        Raises:
+            ValueError: Naming the field.
+        """
+        check_numbers("seating", self)
+
+
+class SeatingGuide(InsertionGuide):
+    """Commands the card's pose from the measured wrench, until it is seated.
+
+    Args:
+        config: Insertion within the plane.
+        start: (3,) initial commanded pose, in front of the slot [m, m, rad].
+        seating: What the connector asks for.
+
+    Attributes:
+        seating: What the connector asks for.
+        beside: Commanded position along the normal [m].
+        snap_force: Force at which the card has snapped in [N]; NaN before.
+    """
+
+    def __init__(self, config: GuideConfig, start: FloatArray, seating: SeatingConfig) -> None:
+        super().__init__(config, start)
+        self.seating, self.beside, self.snap_force = seating, 0.0, math.nan
+        self._zero = np.zeros(6)
+        self._beside_force = self._peak = self._least = 0.0
+
+    def _sense(self, wrench: FloatArray) -> None:
+        super()._sense(wrench[[0, 1, 5]])
+        share = self.config.period / (self.config.period + self.config.filter_time)
+        self._beside_force += share * (wrench[2] - self._beside_force)
+
+    def _choose(self) -> None:
+        """Choose the phase of this step; before the connector it is its own."""
+        near = float(self.believed()[1]) > self.seating.bottom - _NEAR
+        if self.phase is Phase.RETREAT or not near:
+            self._peak = 0.0
+            super()._choose()
+            return
+        self.phase, seating = Phase.SEAT, self.seating
+        push = -float(self._wrench[1])
+        snapped = not math.isnan(self.snap_force)
+        self._least = min(self._least, push)
+        if self._load > seating.push + 0.5 * seating.snap:
+            self._draw_back("force")
+        elif snapped:
+            rise, aside = push - self._least, abs(self._wrench[2]) / max(push, 1e-9)
+            if rise > seating.bottom_force and aside < seating.square:
+                self.phase = Phase.DONE
+        else:
+            self._peak = max(self._peak, self._load)
+            if self._peak > 0.5 * seating.snap and push < (1.0 - seating.fall) * self._peak:
+                self.snap_force, self._least = self._peak, push
+            elif push > seating.push:
+                self._draw_back("force")
+
+    def _move(self) -> None:
+        super()._move()
+        seating, beyond = self.seating, abs(self._beside_force) - self.seating.deadband
+        if beyond > 0.0 and not self.over:
+            rate = math.copysign(seating.give * beyond, self._beside_force)
+            self.beside += rate * self.config.period
+        if abs(self.beside) > seating.reach:
+            self._fail("out of reach")
+
+    def _advance_speed(self) -> float:
+        """Return the speed ahead: before the connector it does not fall with the push."""
+        return self.seating.speed if self.phase is Phase.SEAT else super()._advance_speed()
