@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from models.braid.build import BraidConfig, build_rover
 from models.card_and_slot.build import compile_bench
+from models.card_and_slot.guides import compile_guides_bench
 from models.compliant_base.build import XML as PLANT
 from models.compose import FLAT, FOLDER, ROUGH, RobotPlacement, make_model, settle
-from models.datasheets import CAMERA, CARD_AND_SLOT, DEGREE, MUSCLE_WIRE
+from models.datasheets import CAMERA, CARD_AND_SLOT, CARD_GUIDE, DEGREE, MUSCLE_WIRE
 
 WIDTH, HEIGHT = 640, 420
 LARGEST = 200_000
@@ -103,6 +104,10 @@ def main() -> None:
     askew = mujoco.MjData(bench)
     askew.qpos[:6] = (0.004, -0.02, 0.0, 0.0, 0.0, -6 * DEGREE)
     mujoco.mj_forward(bench, askew)
+    guides = compile_guides_bench(CARD_GUIDE.clearances[1])
+    before = mujoco.MjData(guides)
+    before.qpos[:2] = (0.0, -0.03)
+    mujoco.mj_forward(guides, before)
     mast = build_rover(BraidConfig(5), FLAT, RobotPlacement()).compile()
     leaning = mujoco.MjData(mast)
     mujoco.mj_resetDataKeyframe(mast, leaning, mast.key("home").id)
@@ -115,6 +120,9 @@ def main() -> None:
         "braid/braid.png": take(mast, leaning, Shot((0.0, 0.05, 0.2), 1.0, 40.0, -15.0), size),
         "card_and_slot/card_and_slot.png": take(
             bench, askew, Shot((0.0, -0.03, 0.0), 0.26, 75.0, -50.0), size
+        ),
+        "card_and_slot/guides.png": take(
+            guides, before, Shot((0.0, 0.0, 0.0), 0.24, 70.0, -35.0), size
         ),
         "compliant_base/compliant_base.png": take(
             plant, plant_raised, Shot((0.0, 0.15, 0.1), 1.7, 150.0, -18.0), size
