@@ -7,6 +7,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.mapping.localization import (
     CameraPose,
+    LocalizationConfig,
     camera_in_level,
     level_target,
     localize,
@@ -78,6 +79,22 @@ def test_covariance_is_that_of_drawn_errors(arm):
     placed = np.cov((place * nominal.transform_level_to_world.inv()).as_exp_coords().T)
     claimed = nominal.robot_covariance()
     np.testing.assert_allclose(np.sqrt(np.diag(claimed)), np.sqrt(np.diag(placed)), rtol=0.05)
+
+
+def test_an_inclinometer_whose_zero_is_off_tilts_the_level_frame_by_that(arm):
+    rng = np.random.default_rng(2)
+    config = LocalizationConfig(tilt=0.0, yaw=0.0, place=0.0, tilt_zero=0.004)
+    robot = RigidTransform.from_components([-0.4, 0.7, 0.0], Rotation.from_euler("z", 2.0))
+    level = np.zeros(2)
+    seen = CameraPose(robot * camera_in_level(arm, HOME, level), np.zeros((6, 6)))
+    nominal = localize(arm, HOME, level, seen, config)
+    placed = [
+        localize(arm, HOME, off, seen, config).transform_level_to_world
+        for off in 0.004 * rng.standard_normal((2000, 2))
+    ]
+    xi = [(pose * nominal.transform_level_to_world.inv()).as_exp_coords() for pose in placed]
+    np.testing.assert_allclose(nominal.covariance, np.cov(np.transpose(xi)), atol=1.5e-6)
+    assert nominal.covariance[0, 0] == pytest.approx(0.004**2)
 
 
 def test_prior_moves_with_what_is_shared_as_the_camera_truly_does(arm):
