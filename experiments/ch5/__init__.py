@@ -8,11 +8,8 @@ Two rovers (``ch5-insertion``, Table 5-1, figures 5-11 to 5-14):
 - `insertion_trial`: one insertion, scored by the truth.
 - `insertion_figures`, `insertion_film`, `task_film`: figures, and pictures and recordings.
 
-A bench (``ch5-contact``, figures A-5 to A-7):
+Beside them:
 
-- `contact`: options, measures and checks.
-- `contact_bench`, `contact_trial`: compliant hand at a slot, and the jobs on it.
-- `contact_figures`, `contact_record`: figures and a recording.
-
+- `contact`: a bench (``ch5-contact``, figures A-5 to A-7).
 - `marker_scene`: card and slot before a free stereo head, for the marker detectors.
 """

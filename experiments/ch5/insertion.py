@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.ch5.contact_trial import IMPOSSIBLE
+from experiments.ch5.contact.trial import IMPOSSIBLE
 from experiments.ch5.insertion_faults import ENDS_IN, Fault
 from experiments.ch5.insertion_figures import (
     draw_course,

@@ -112,7 +112,7 @@ _ALL: tuple[Experiment, ...] = (
         name="ch5-contact",
         summary="a card is inserted by what the hand feels, and contact states are classified",
         thesis="figures A-5 to A-7, section 5.4 (forces)",
-        module="experiments.ch5.contact",
+        module="experiments.ch5.contact.contact",
     ),
     Experiment(
         name="mission",

@@ -5,7 +5,9 @@ interrupted run loses half a second at most, unless told otherwise.
 ``python -m twin.recording.record screenshot RUN.rrd OUT.png`` makes a picture of one.
 """
 
+import atexit
 import contextlib
+import ctypes
 import errno
 import socket
 import sys
@@ -261,10 +263,8 @@ class Recorder(LoopRecorder):
         Raises:
             OSError: As `flush`.
         """
-        try:
-            self.flush()
-        finally:
-            self._stream.disconnect()
+        self.flush()
+        self._stream.disconnect()
 
     @contextlib.contextmanager
     def _writing(self) -> Generator[None]:
@@ -272,6 +272,10 @@ class Recorder(LoopRecorder):
         try:
             yield
         except RuntimeError as error:
+            # The SDK would wait for ever for what it cannot write: neither is the stream to be
+            # collected, nor the program to wait for it at its end.
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(self._stream))
+            atexit.unregister(rr.rerun_shutdown)
             reason = f"the recording cannot be written ({error})"
             raise OSError(errno.EIO, reason, str(self.path)) from None
 

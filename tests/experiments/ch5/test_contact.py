@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from controllers.insertion.contact import STATES, contacts_of, pose_in_state, wrench_cone
-from experiments.ch5 import contact as ch5_contact
-from experiments.ch5 import seating
-from experiments.ch5.contact_bench import Bench, HandAsMade, press, shape_of
-from experiments.ch5.contact_trial import InsertionJob, StateJob, run_insertion, run_states
+from experiments.ch5.contact import contact as ch5_contact
+from experiments.ch5.contact import seating
+from experiments.ch5.contact.bench import Bench, HandAsMade, press, shape_of
+from experiments.ch5.contact.trial import InsertionJob, StateJob, run_insertion, run_states
 from experiments.harness.output import Output
 from models.datasheets import CARD_AND_SLOT
 from twin.sensors import ChannelSpec

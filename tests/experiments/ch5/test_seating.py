@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from experiments.ch5.seating_trial import (
+from experiments.ch5.contact.seating_trial import (
     MOST_FORCE,
     RINGS,
     SNAP,

@@ -331,7 +331,10 @@ def test_recording_that_cannot_be_written_is_named(path, reason):
 
 @pytest.mark.parametrize("limit", [20_000, 2_000_000])
 def test_disk_that_fills_up_ends_a_recording_with_its_name(tmp_path, limit):
-    """It is full from the start, or fills up; the SDK alone waits for ever in the first case."""
+    """It is full from the start, or fills up.
+
+    The SDK alone waits for ever, always or now and then; a flush ends after half a minute.
+    """
     path = tmp_path / "run.rrd"
     program = (
         "import os, resource, sys; from twin.recording.record import Recorder\n"

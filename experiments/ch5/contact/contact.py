@@ -11,14 +11,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from experiments.ch5.contact_figures import (
+from experiments.ch5.contact.figures import (
     draw_courses,
     draw_location,
     draw_states,
     draw_success,
 )
-from experiments.ch5.contact_record import record_insertion
-from experiments.ch5.contact_trial import (
+from experiments.ch5.contact.record import record_insertion
+from experiments.ch5.contact.seating import measure_seatings
+from experiments.ch5.contact.trial import (
     CLASSIFIED_NOISES,
     IMPOSSIBLE,
     NOISES,
@@ -30,7 +31,6 @@ from experiments.ch5.contact_trial import (
     run_insertion,
     run_states,
 )
-from experiments.ch5.seating import measure_seatings
 from experiments.harness import contract
 from experiments.harness.intervals import Distribution, distribution, fraction, success_fraction
 from experiments.harness.output import Output

@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 from controllers.insertion.contact import CardInSlot, contacts_of, pose_in_state, turn
 from controllers.insertion.guide import Phase
-from experiments.ch5.contact_bench import shape_of
-from experiments.ch5.contact_trial import InsertionResult
-from experiments.ch5.seating_trial import WAYS, SeatingResult
+from experiments.ch5.contact.bench import shape_of
+from experiments.ch5.contact.seating_trial import WAYS, SeatingResult
+from experiments.ch5.contact.trial import InsertionResult
 from experiments.harness.intervals import error_bars, success_fraction
 from models.datasheets import DEGREE, INCH
 from perception.geometry.arrays import FloatArray

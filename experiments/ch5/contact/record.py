@@ -7,8 +7,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from controllers.insertion.guide import Phase
-from experiments.ch5.contact_bench import shape_of
-from experiments.ch5.contact_figures import card_outline, wall_outlines
+from experiments.ch5.contact.bench import shape_of
+from experiments.ch5.contact.figures import card_outline, wall_outlines
 from experiments.harness.recording import recording
 from perception.geometry.arrays import FloatArray
 from twin.recording.layout import side_by_side

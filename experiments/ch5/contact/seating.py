@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 
-from experiments.ch5.contact_figures import draw_seatings
-from experiments.ch5.seating_trial import (
+from experiments.ch5.contact.figures import draw_seatings
+from experiments.ch5.contact.seating_trial import (
     FRICTIONS,
     RINGS,
     WAYS,

@@ -13,7 +13,7 @@ import numpy as np
 
 from controllers.insertion.guide import GuideConfig, Phase
 from controllers.insertion.seating import SeatingConfig, SeatingGuide
-from experiments.ch5.contact_bench import HandAsMade, HandBench
+from experiments.ch5.contact.bench import HandAsMade, HandBench
 from models.card_and_slot.guides import compile_guides_bench
 from models.datasheets import CARD_AND_SLOT, CARD_GUIDE, DEGREE, FORCE_TORQUE, HAND
 from perception.geometry.arrays import FloatArray

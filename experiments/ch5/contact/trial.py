@@ -15,7 +15,7 @@ from controllers.insertion.contact import (
 )
 from controllers.insertion.contact_states import WrenchNoise, classify
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, StraightInsertion
-from experiments.ch5.contact_bench import Bench, HandAsMade, press, shape_of
+from experiments.ch5.contact.bench import Bench, HandAsMade, press, shape_of
 from models.datasheets import CARD_AND_SLOT, DEGREE, FORCE_TORQUE, HAND, INCH
 from perception.geometry.arrays import FloatArray
 from twin.realism import RealismName, realism_of
