@@ -138,6 +138,7 @@ class InsertionGuide:
         self._wrench = np.zeros(3)
         self._time = self._since = self._lost = self._load = 0.0
         self._deepest, self._goal_back, self._slid = float(start[1]), 0.0, 0.0
+        self._share = config.period / (config.period + config.filter_time)
         self._free: list[FloatArray] = []
         self._zero = np.zeros(3)
 
@@ -194,8 +195,7 @@ class InsertionGuide:
     def _sense(self, wrench: FloatArray) -> None:
         self._recent = [*self._recent[1 - _MEDIAN :], wrench]
         middle = np.median(self._recent, axis=0)
-        share = self.config.period / (self.config.period + self.config.filter_time)
-        self._wrench += share * (middle - self._wrench)
+        self._wrench += self._share * (middle - self._wrench)
         self._load = math.hypot(middle[0], middle[1])
 
     def _choose(self) -> None:
@@ -276,12 +276,12 @@ class InsertionGuide:
         # together turn by mu f_x times that. The rest is the moment of the normal forces.
         normal = moment - config.friction * config.card_width / 2.0 * force_x
         about = normal - depth / 2.0 * force_x
-        rate = config.give_turn * _beyond(about, config.moment_deadband)
+        rate = config.give_turn * beyond(about, config.moment_deadband)
         return min(max(rate, -config.turn_rate), config.turn_rate)
 
     def _give_aside(self) -> float:
         """Return the speed across that relieves the forces on the sides."""
-        return self.config.give * _beyond(self._wrench[0], self.config.deadband)
+        return self.config.give * beyond(self._wrench[0], self.config.deadband)
 
 
 class StraightInsertion(InsertionGuide):
@@ -299,6 +299,6 @@ class StraightInsertion(InsertionGuide):
             self.command[:2] += turn(self.command[2]) @ [0.0, config.speed * config.period]
 
 
-def _beyond(value: float, deadband: float) -> float:
+def beyond(value: float, deadband: float) -> float:
     """Return the part of a value beyond a deadband around zero."""
     return math.copysign(max(abs(value) - deadband, 0.0), value)

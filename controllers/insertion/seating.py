@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
+from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, beyond
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 
@@ -58,6 +58,8 @@ class SeatingConfig:
 class SeatingGuide(InsertionGuide):
     """Commands the card's pose from the measured wrench, until it is seated.
 
+    `step` takes all six of the wrench, about the middle of the leading edge.
+
     Args:
         config: Insertion within the plane.
         start: (3,) initial commanded pose, in front of the slot [m, m, rad].
@@ -77,8 +79,7 @@ class SeatingGuide(InsertionGuide):
 
     def _sense(self, wrench: FloatArray) -> None:
         super()._sense(wrench[[0, 1, 5]])
-        share = self.config.period / (self.config.period + self.config.filter_time)
-        self._beside_force += share * (wrench[2] - self._beside_force)
+        self._beside_force += self._share * (wrench[2] - self._beside_force)
 
     def _choose(self) -> None:
         """Choose the phase of this step; before the connector it is its own."""
@@ -106,9 +107,9 @@ class SeatingGuide(InsertionGuide):
 
     def _move(self) -> None:
         super()._move()
-        seating, beyond = self.seating, abs(self._beside_force) - self.seating.deadband
-        if beyond > 0.0 and not self.over:
-            rate = math.copysign(seating.give * beyond, self._beside_force)
+        seating = self.seating
+        if not self.over:
+            rate = seating.give * beyond(self._beside_force, seating.deadband)
             self.beside += rate * self.config.period
         if abs(self.beside) > seating.reach:
             self._fail("out of reach")

@@ -31,22 +31,18 @@ _SPRING_MASS = 0.005
 _HARD = {"solimp": [0.99, 0.999, 1e-4, 0.5, 2.0]}
 """Contact of so light a part that it would else give way by a tenth of a millimetre."""
 _STOP = {"solref_limit": [0.002, 1.0], "solimp_limit": [0.99, 0.999, 1e-5, 0.5, 2.0]}
-"""End of a joint's range that a spring's preload presses it against by a micrometre."""
+"""End of a joint's range that a spring's preload presses it against by 5 micrometres."""
 _CLUTCH = {"solref_friction": [0.002, 1.0], "solimp_friction": [0.9999, 0.9999, 1e-3, 0.5, 2.0]}
-"""Dry friction that creeps by 0.01 mm/s under the snap's force, not by a decimetre."""
+"""Dry friction that creeps by some 0.01 mm in an insertion, not by a decimetre a second."""
 
 
-def add_guides(
-    scene: mujoco.MjSpec, parent: mujoco.MjsBody, clearance: float, prefix: str = ""
-) -> mujoco.MjsBody:
+def add_guides(scene: mujoco.MjSpec, parent: mujoco.MjsBody, clearance: float) -> mujoco.MjsBody:
     """Add the body ``slot`` in the parent's frame: guides, a marker on each, and the connector.
 
     Args:
         scene: Scene that it is attached to.
         parent: Body to add to; move the slot by its ``pos`` and ``quat``.
         clearance: Distance between each of the card's edges and the groove [m].
-        prefix: Prefix of ``slot``, of its geoms ``slot_left``, ``slot_right`` and others, of
-            ``slot_marker0`` and ``1``, and of ``slot_spring_front`` and ``back``.
 
     Returns:
         The slot's body.
@@ -58,28 +54,28 @@ def add_guides(
         raise ValueError(
             f"clearance {clearance} m: expected more than 0, less than half the lips' overlap"
         )
-    body = parent.add_body(name=f"{prefix}slot")
+    body = parent.add_body(name="slot")
     for index, (name, side) in enumerate((("left", -1.0), ("right", 1.0))):
-        _add_guide(body, f"{prefix}slot_{name}", side, clearance)
+        _add_guide(body, f"slot_{name}", side, clearance)
         outward, inward = CARD_AND_SLOT.slot_marker_inset
         across = side * (CARD_AND_SLOT.card_width / 2.0 + clearance + outward)
         top = CARD_AND_SLOT.wall_height / 2.0
-        add_marker(scene, body, f"{prefix}slot_marker{index}", across, inward, top)
-    _add_connector(body, prefix)
+        add_marker(scene, body, f"slot_marker{index}", across, inward, top)
+    _add_connector(body)
     return body
 
 
-def give_way(card: mujoco.MjsBody, prefix: str = "") -> None:
+def give_way(card: mujoco.MjsBody) -> None:
     """Let a card give way in its gripper: in roll, along its normal, and by slipping back.
 
     Args:
-        card: Body of the card.
-        prefix: Prefix of ``card_roll``, ``card_normal`` and ``card_slip``.
+        card: Body of the card, in a scene whose angles are radians; gets the joints ``card_slip``,
+            ``card_normal`` and ``card_roll``.
     """
     sheet, middle = CARD_GUIDE, [0.0, -CARD_AND_SLOT.card_length / 2.0, 0.0]
     ahead, normal = [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
     card.add_joint(
-        name=f"{prefix}card_slip",
+        name="card_slip",
         type=_SLIDE,
         axis=ahead,
         frictionloss=sheet.grip,
@@ -92,7 +88,7 @@ def give_way(card: mujoco.MjsBody, prefix: str = "") -> None:
         ("roll", _HINGE, ahead, sheet.roll_range, sheet.roll_stiffness),
     ):
         joint = card.add_joint(
-            name=f"{prefix}card_{name}",
+            name=f"card_{name}",
             type=kind,
             axis=axis,
             pos=middle,
@@ -148,22 +144,20 @@ def _add_guide(body: mujoco.MjsBody, name: str, side: float, clearance: float) -
         _add_lead(body, f"{name}_{lip}_lead", edge, [0.0, 0.0, face], (floor + wider - inner) / 2.0)
 
 
-def _add_connector(body: mujoco.MjsBody, prefix: str) -> None:
+def _add_connector(body: mujoco.MjsBody) -> None:
     """Add the bottom, and the springs that press on the card's faces before it."""
     sheet, half = CARD_GUIDE, CARD_AND_SLOT.card_thickness / 2.0
     height = CARD_AND_SLOT.wall_height / 2.0
     size = [_CONNECTOR, sheet.seat / 2.0, height]
     place = [0.0, sheet.depth + sheet.seat / 2.0, 0.0]
-    body.add_geom(
-        name=f"{prefix}slot_bottom", type=_BOX, size=size, pos=place, rgba=_COLOUR, **CONTACT
-    )
+    body.add_geom(name="slot_bottom", type=_BOX, size=size, pos=place, rgba=_COLOUR, **CONTACT)
     away = half - sheet.interference + sheet.spring_radius
     for name, face in (("front", 1.0), ("back", -1.0)):
         spring = body.add_body(
-            name=f"{prefix}slot_spring_{name}", pos=[0.0, sheet.depth - sheet.seat, face * away]
+            name=f"slot_spring_{name}", pos=[0.0, sheet.depth - sheet.seat, face * away]
         )
         spring.add_geom(
-            name=f"{prefix}slot_spring_{name}",
+            name=f"slot_spring_{name}",
             type=_CAPSULE,
             fromto=[-_CONNECTOR / 2.0, 0.0, 0.0, _CONNECTOR / 2.0, 0.0, 0.0],
             size=[sheet.spring_radius, 0.0, 0.0],
@@ -173,7 +167,7 @@ def _add_connector(body: mujoco.MjsBody, prefix: str) -> None:
             **CONTACT | _HARD,
         )
         joint = spring.add_joint(
-            name=f"{prefix}slot_spring_{name}",
+            name=f"slot_spring_{name}",
             type=_SLIDE,
             axis=[0.0, 0.0, face],
             range=[0.0, 2.0 * sheet.interference],

@@ -76,7 +76,7 @@ class CardGuideSheet:
     clearances: tuple[float, float, float] = (1.6e-3, 0.8e-3, 0.4e-3)
     """Beside each of the card's edges, across: easy, medium, hard."""
     face_clearance: float = 0.4e-3
-    """Beside each of its faces: guides for boards of 1.6 mm have grooves of 2.0 to 2.5 mm."""
+    """Beside each of its faces. Assumption: a groove of 2.4 mm for a board of 1.6 mm."""
     overlap: float = 4e-3  # Of the guides' lips over a card in the middle. Assumption
     depth: float = 0.04  # From the mouth to the bottom, as the walls' of the plain slot
     lead_in: tuple[float, float] = (1e-3, 0.010)

@@ -192,7 +192,7 @@ class Bench(HandBench):
         """(3,) what the sensor shows now of a card that touches nothing, without noise."""
         of = self._sensor
         warm = -math.expm1(-self.data.time / of.warm_up)
-        return (np.zeros(6) + of.bias + np.asarray(of.drift) * warm)[[0, 1, 5]]
+        return (np.zeros(6) + of.bias + np.asarray(of.drift) * warm)[_PLANE]
 
     def contact_wrench(self) -> FloatArray:
         """(3,) what the contacts truly put on the card, card's frame."""

@@ -7,7 +7,7 @@ straight ahead, and by a spiral search, as assembly robots search for a hole.
 import dataclasses
 import enum
 import math
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -34,7 +34,8 @@ SNAP = 3.0
 STAND_OFF, LIMIT, TARE = 0.015, 50.0, 0.5
 """Distance before the mouth at the start [m], longest insertion and time of the tare [s]."""
 MOST_FORCE = 8.5
-"""Force at which every way of insertion stops or draws back [N]."""
+"""Force at which straight ahead and the spiral stop, and by force the card is drawn back from the
+connector [N]."""
 _NOISE = 0.02  # Of the wrench, as a share of it.
 _SEATED = 1e-3
 """Distance from the bottom within which a card is seated [m]; twice that at its corners."""
@@ -85,19 +86,6 @@ class SeatingResult:
     reason: str
 
 
-class Inserter(Protocol):
-    """A way to insert the card."""
-
-    @property
-    def over(self) -> bool:
-        """Whether it has ended."""
-        ...
-
-    def step(self, wrench: FloatArray) -> FloatArray:
-        """Return (4,) across, ahead [m], turn [rad] and along the normal [m] for a wrench (6,)."""
-        ...
-
-
 class ByForce:
     """The guide, with the settings that the drawing gives it."""
 
@@ -112,12 +100,12 @@ class ByForce:
         return self.guide.over
 
     def step(self, wrench: FloatArray) -> FloatArray:
-        """Return the guide's command."""
+        """Return (4,) across, ahead [m], turn [rad] and along the normal [m] for a wrench (6,)."""
         return np.append(self.guide.step(wrench), self.guide.beside)
 
 
-class _Tared:
-    """A way to insert that knows no more than how far it has gone, and the force less its tare."""
+class StraightAhead:
+    """Straight ahead until the force, less its tare, is too large."""
 
     speed, period = 0.01, 0.01
 
@@ -127,7 +115,7 @@ class _Tared:
         self._free: list[FloatArray] = []
 
     def step(self, wrench: FloatArray) -> FloatArray:
-        """Return the next command for a wrench (6,), held while the sensor's zero is taken."""
+        """Return the next command (4,) for a wrench (6,), held while the sensor's zero is taken."""
         if len(self._free) < round(TARE / self.period):
             self._free.append(wrench)
             return self._command.copy()
@@ -150,15 +138,24 @@ class _Search(enum.Enum):
     INSERT = 2
 
 
-class BySpiral(_Tared):
+class BySpiral(StraightAhead):
     """A spiral over the mouth under a small push, then straight ahead.
 
-    The usual blind search for a hole: an Archimedean spiral whose turns are `pitch` apart, until
-    the card falls in by `drop`.
+    The usual blind search for a hole: an Archimedean spiral, until the card falls in.
+
+    Attributes:
+        push: Force of the push [N].
+        pitch: Distance between turns of the spiral [m].
+        drop: Depth below the place of the first touch at which the card has fallen in [m].
+        along: Speed along the spiral [m/s].
+        reach: Radius at which the search ends in vain [m].
+        give: Admittance ahead, speed over force [m/s/N].
+        mouth: Depth at which what leads in has ended, and the error ahead: a card that gets there
+            needs no search [m].
     """
 
     push, pitch, drop, along, reach, give = 1.0, 1e-3, 2.5e-3, 0.008, 6e-3, 0.004
-    mouth = 0.016  # Depth at which what leads in has ended, and the error ahead [m].
+    mouth = 0.016
 
     def __init__(self, start: FloatArray) -> None:
         super().__init__(start)
@@ -168,7 +165,7 @@ class BySpiral(_Tared):
     def _advance(self, force: FloatArray) -> None:
         depth = float(self._command[1] + force[1] / HAND.stiffness)
         if self._part is _Search.APPROACH and depth > self.mouth:
-            self._part = _Search.INSERT  # It has met the mouth by itself.
+            self._part = _Search.INSERT
         elif self._part is _Search.APPROACH and -force[1] > self.push:
             self._part, self._touched = _Search.SEARCH, depth
         if self._part is not _Search.SEARCH:
@@ -186,6 +183,13 @@ class BySpiral(_Tared):
         self._command[1] += self.period * self.give * (self.push + force[1])
 
 
+_INSERTERS: dict[Way, type[ByForce | StraightAhead]] = {
+    "guided": ByForce,
+    "straight": StraightAhead,
+    "spiral": BySpiral,
+}
+
+
 def draw_misalignment(job: SeatingJob, rng: np.random.Generator) -> FloatArray:
     """Draw a misalignment (6,) within the job's ring, each part to either side."""
     low, high = (job.ring - 1) / len(RINGS), job.ring / len(RINGS)
@@ -196,8 +200,8 @@ def run_seating(job: SeatingJob) -> SeatingResult:
     """Insert the card once from a drawn misalignment."""
     rng = np.random.default_rng([job.seed, job.ring, round(job.clearance * 1e6)])
     wrong = draw_misalignment(job, rng)
-    bench, inserter = _bench(job), _inserter(job.way)
     start = np.array([0.0, -STAND_OFF, 0.0])
+    bench, inserter = _bench(job), _INSERTERS[job.way](start)
     bench.put(_in_space(np.append(start, 0.0)) + wrong)
     peak, period = 0.0, 0.01
     sigma = np.repeat([FORCE_TORQUE.force_noise, FORCE_TORQUE.torque_noise], 3)
@@ -217,16 +221,9 @@ def run_seating(job: SeatingJob) -> SeatingResult:
     if isinstance(inserter, ByForce):
         guide = inserter.guide
         snap, reported = guide.snap_force, guide.phase is Phase.DONE
-        reason = guide.reason if not reported else reason
-    return SeatingResult(
-        bool(seated and reported), peak, snap, bench.data.time, depth, reason or ""
-    )
-
-
-def _inserter(way: Way) -> Inserter:
-    start = np.array([0.0, -STAND_OFF, 0.0])
-    ways = {"guided": ByForce, "straight": _Tared, "spiral": BySpiral}
-    return ways[way](start)
+        reason = reason if reported else guide.reason
+    success = bool(seated and reported)
+    return SeatingResult(success, peak, snap, bench.data.time, depth, reason)
 
 
 def _bench(job: SeatingJob) -> HandBench:
