@@ -1,3 +1,4 @@
+import atexit
 import ctypes.util
 import os
 import signal
@@ -10,6 +11,7 @@ import cv2
 import mujoco
 import numpy as np
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
 
 from models.compose import ROUGH, RobotPlacement, make_model
@@ -347,6 +349,23 @@ def test_disk_that_fills_up_ends_a_recording_with_its_name(tmp_path, limit):
     words = [sys.executable, "-c", program, str(path)]
     done = subprocess.run(words, cwd=ROOT, check=True, capture_output=True, text=True, timeout=60)
     assert done.stdout == f"{path}\n"
+
+
+def test_after_a_failed_write_nothing_waits_for_the_sdk(tmp_path, monkeypatch):
+    """Neither is the stream let go of, nor the program's end left to the SDK."""
+    left: list[object] = []
+    monkeypatch.setattr(atexit, "unregister", left.append)
+
+    def fails(**_):
+        raise RuntimeError("the file is dead")
+
+    recorder = Recorder(tmp_path / "run.rrd")
+    stream = recorder._stream  # pyright: ignore
+    monkeypatch.setattr(stream, "flush", fails)
+    before = sys.getrefcount(stream)
+    with pytest.raises(OSError, match="the file is dead"):
+        recorder.close()
+    assert left == [rr.rerun_shutdown] and sys.getrefcount(stream) == before + 1
 
 
 def test_recording_larger_than_the_viewer_should_load_is_refused(tmp_path):
