@@ -243,9 +243,10 @@ def build_scene(field: FieldConfig, robots: Sequence[RobotPlacement]) -> mujoco.
     for robot in robots:
         _add_robot(scene, robot, _start_height(ground, robot), field.friction)
         if robot.card:
-            hold_card(scene, robot.name)
+            hold_card(scene, robot.name, gives=field.card_guides)
     if field.slot_width is not None:
-        stand_slot(scene, field.slot_width, float(ground.ground_at(np.zeros(2))))
+        height = float(ground.ground_at(np.zeros(2)))
+        stand_slot(scene, field.slot_width, height, guides=field.card_guides)
     if not field.shadows:
         for light in scene.lights:
             light.castshadow = False

@@ -47,6 +47,8 @@ class FieldConfig:
             do its work: x and y of the middle, and radius [m].
         panel: The panel that is the robots' target, if any.
         slot_width: Distance between the walls of the slot at the origin [m]; None for no slot.
+        card_guides: Whether the slot is of card guides with a connector, its width that between the
+            floors of their grooves, and the cards of robots give way in their grippers.
         shadows: Whether lights cast shadows, which take half of an image's rendering time.
         sun_elevation: Lowest and highest elevation of the sun [rad], drawn with its azimuth from
             the seed; None for one sun of all fields, whose shadows end 1 m from the origin.
@@ -73,6 +75,7 @@ class FieldConfig:
     clear: tuple[tuple[float, float, float], ...] = ()
     panel: PanelConfig | None = None
     slot_width: float | None = None
+    card_guides: bool = False
     shadows: bool = True
     sun_elevation: tuple[float, float] | None = None
     slope: tuple[float, float] = (0.0, 0.0)

@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from controllers.insertion.card_arm import CardArm, inverse, pitch_of, planar, to_plane
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
+from controllers.insertion.seating import SeatingConfig, SeatingGuide
 from controllers.insertion.slot_belief import BeliefConfig, SlotBelief
 from controllers.motion.base_motion import level_of
 from controllers.motion.base_tilt import BaseTilt
@@ -46,6 +47,7 @@ class CardInserterConfig:
 
     Attributes:
         guide: Configuration of the force-guided insertion.
+        seating: What the connector behind card guides asks for; None for a slot of plain walls.
         belief: Configuration of the slot's pose estimate.
         reach: Distance of the card's edge ahead of the robot in the arm's easy range [m].
         stand_off: Card's distance before the mouth when vision hands over to force [m].
@@ -58,6 +60,10 @@ class CardInserterConfig:
         look_ahead: Distance over which the robot steers onto the slot's line [m].
         aligned: Errors across and ahead [m] and turn [rad] within which the card is aligned.
         looks: Number of views in a row that have to show it aligned.
+        crooked: Angle out of the slot's plane beyond which a card does not go into guides [rad]: it
+            is that of the arm from the slot's line, which only the wheels can change.
+        room: Distance that the robot then backs off, to drive onto the line anew [m].
+        backings: Largest number of times that it does.
         patience: Time before the slot after which the card is inserted by the estimate [s].
         stale: Age of the last view beyond which the slave stops unless the slot's covariance is
             small enough for dead reckoning [s].
@@ -73,6 +79,7 @@ class CardInserterConfig:
     """
 
     guide: GuideConfig
+    seating: SeatingConfig | None = None
     belief: BeliefConfig = dataclasses.field(default_factory=BeliefConfig)
     reach: float = 0.47
     stand_off: float = 0.015
@@ -85,6 +92,9 @@ class CardInserterConfig:
     look_ahead: float = 0.12
     aligned: tuple[float, float] = (7e-4, math.radians(0.5))
     looks: int = 3
+    crooked: float = math.radians(1.5)
+    room: float = 0.25
+    backings: int = 2
     patience: float = 12.0
     stale: float = 1.0
     known: float = 4e-3
@@ -141,6 +151,9 @@ class CardInserter:
         self._load = 0.0  # Force that the limit applies to [N].
         self._time, self._since, self._last_view = 0.0, 0.0, -math.inf
         self._good, self._both_seen = 0, False
+        # Whether and how often the robot has backed off, and how far right of the slot's line it
+        # then is to stand [m].
+        self._backings, self._backing, self._aside = 0, False, 0.0
         self._tare: list[FloatArray] = []
         self._offset = np.zeros(6)
         self._wanted = np.empty(0)  # Joint angles; empty before the first step.
@@ -271,8 +284,9 @@ class CardInserter:
         gap = float(slot[1, 3]) - config.reach - config.stand_off
         wheels = _STILL
         if self.stage is InsertionStage.APPROACH:
-            wheels = self._steer_to(slot, gap)
-            if abs(gap) < config.near:
+            self._backing &= gap < config.room - config.near
+            wheels = self._steer_to(slot, gap - config.room if self._backing else gap)
+            if abs(gap) < config.near and not self._backing:
                 self._enter(InsertionStage.ALIGN)
         # While the robot is far away, the card stays within easy reach of the arm.
         away = max(gap, 0.0) if self.stage is InsertionStage.APPROACH else 0.0
@@ -281,8 +295,27 @@ class CardInserter:
             waited = self._time - self._since
             tared = len(self._tare) * config.period >= config.settle - 1e-9
             if tared and (self._good >= config.looks or waited > config.patience):
-                self._hand_over(slot)
+                yaw = float(to_plane(inverse(slot) @ self._arm.card_frame(angles))[4])
+                if self._is_crooked(yaw):
+                    self._back_off(slot, yaw)
+                else:
+                    self._hand_over(slot)
         return self._hold(self._pace * wheels, rates)
+
+    def _is_crooked(self, yaw: float) -> bool:
+        """Return whether guides would not take a card at an angle [rad], and it may be mended."""
+        config = self.config
+        seats = config.seating is not None and self._backings < config.backings
+        return seats and abs(yaw) > config.crooked
+
+    def _back_off(self, slot: FloatArray, yaw: float) -> None:
+        """Drive back, and then anew to where the card's angle out of the plane [rad] vanishes."""
+        # Which is on the slot's line, but for a robot that rolls: its arm does not point ahead.
+        (heading, beside), ahead = _line(slot), self._arm.mount[1]
+        self._aside = beside + ahead * math.sin(heading)
+        self._aside += (self.config.reach - ahead) * math.sin(yaw)
+        self._backing, self._backings, self._tare = True, self._backings + 1, []
+        self._enter(InsertionStage.APPROACH)
 
     @property
     def _pace(self) -> float:
@@ -290,13 +323,13 @@ class CardInserter:
         return 1.0 if self._both_seen else self.config.following
 
     def _steer_to(self, slot: FloatArray, gap: float) -> FloatArray:
-        """Return wheel speeds onto the slot's line, slower when near."""
-        config, (x, y) = self.config, slot[:2, 3]
-        heading = math.atan2(-slot[0, 1], slot[1, 1])  # of the slot's line, to the left
-        # Distance of the line to the left of the robot's origin.
-        beside = -x * math.cos(heading) - y * math.sin(heading)
+        """Return wheel speeds onto the slot's line, slower when near; backwards for less than 0."""
+        config, (heading, beside) = self.config, _line(slot)
+        beside -= self._aside
         speed = min(max(config.slowing * gap, -config.speed), config.speed)
-        curve = 2.0 * heading / config.look_ahead + beside / config.look_ahead**2
+        # Backwards a robot that has turned to the line moves away from it.
+        aside = math.copysign(beside, beside * speed)
+        curve = 2.0 * heading / config.look_ahead + aside / config.look_ahead**2
         turn = min(max(curve * abs(speed), -config.turn), config.turn)
         return self._steer.wheel_speeds(speed, turn)
 
@@ -338,7 +371,11 @@ class CardInserter:
         self._slot = slot
         self._weight = self._arm.weight(self._wanted, self._up)
         start = to_plane(inverse(slot) @ self._arm.card_frame(self._wanted))
-        self.guide = InsertionGuide(self.config.guide, start[:3])
+        config = self.config
+        if config.seating is None:
+            self.guide = InsertionGuide(config.guide, start[:3])
+        else:
+            self.guide = SeatingGuide(config.guide, start[:3], config.seating, start[3])
         self._enter(InsertionStage.INSERT)
 
     def _slot_now(self) -> FloatArray:
@@ -349,13 +386,29 @@ class CardInserter:
         return self._base.motion(self._base.tilt(change)).inv().as_matrix() @ self._slot
 
     def _insert(self, angles: FloatArray) -> Command:
-        assert self.guide is not None
-        pose, slot = self.guide.step(self.contact[[0, 1, 5]]), self._slot_now()
-        rates = self._command_card((slot @ planar(pose))[:3, 3], self._pitch_at(slot, pose))
+        guide, slot = self.guide, self._slot_now()
+        assert guide is not None
+        if isinstance(guide, SeatingGuide):
+            pose, beside = guide.step(self.contact), guide.beside
+        else:
+            pose, beside = guide.step(self.contact[[0, 1, 5]]), 0.0
+        place = slot[:3, :3] @ [pose[0], pose[1], beside] + slot[:3, 3]
+        rates = self._command_card(place, self._pitch_at(slot, pose))
         if rates is None:
             return self._fail("out of reach", angles)
-        if self.guide.phase is Phase.DONE:
+        if guide.phase is Phase.DONE:
             self._enter(InsertionStage.DONE)
-        elif self.guide.phase is Phase.FAILED:
-            return self._fail(self.guide.reason, angles)
+        elif guide.phase is Phase.FAILED:
+            return self._fail(guide.reason, angles)
         return self._hold(rates=rates)
+
+
+def _line(slot: FloatArray) -> tuple[float, float]:
+    """Return where a slot's line is: its heading, to the left [rad], and how far left it is [m].
+
+    Args:
+        slot: (4, 4) from the slot to the robot.
+    """
+    x, y = slot[:2, 3]
+    heading = math.atan2(-slot[0, 1], slot[1, 1])
+    return heading, -x * math.cos(heading) - y * math.sin(heading)

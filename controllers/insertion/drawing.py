@@ -14,6 +14,19 @@ from perception.geometry.arrays import FloatArray
 from perception.markers.poses import BodyCad
 
 
+@dataclasses.dataclass(frozen=True)
+class Connector:
+    """What the card snaps into, behind card guides.
+
+    Attributes:
+        depth: Depth at which its bottom stops the card [m].
+        snap: Force at which it lets the card in [N].
+    """
+
+    depth: float
+    snap: float
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class InsertionDrawing:
     """Drawing of card and slot, with their markers and holders.
@@ -30,6 +43,7 @@ class InsertionDrawing:
         transform_slot_to_ground: Transform from the slot to the ground frame.
         card_holder: (K, 3) corners of a box about the card's holder [m], card frame.
         slot_holder: (L, 3) corners of a box about the slot's holder [m], slot frame.
+        connector: What the card snaps into; None for a slot of two plain walls.
     """
 
     card: BodyCad
@@ -42,6 +56,7 @@ class InsertionDrawing:
     transform_slot_to_ground: RigidTransform
     card_holder: FloatArray
     slot_holder: FloatArray
+    connector: Connector | None = None
 
     def parts(self, gap: float) -> SeenParts:
         """Return card and slot aligned at a gap, ground frame.

@@ -276,7 +276,12 @@ class InsertionGuide:
         # together turn by mu f_x times that. The rest is the moment of the normal forces.
         normal = moment - config.friction * config.card_width / 2.0 * force_x
         about = normal - depth / 2.0 * force_x
-        rate = config.give_turn * beyond(about, config.moment_deadband)
+        return self._turn_by(about)
+
+    def _turn_by(self, moment: float) -> float:
+        """Return the turning rate that yields to a moment."""
+        config = self.config
+        rate = config.give_turn * beyond(moment, config.moment_deadband)
         return min(max(rate, -config.turn_rate), config.turn_rate)
 
     def _give_aside(self) -> float:

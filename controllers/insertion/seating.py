@@ -64,6 +64,7 @@ class SeatingGuide(InsertionGuide):
         config: Insertion within the plane.
         start: (3,) initial commanded pose, in front of the slot [m, m, rad].
         seating: What the connector asks for.
+        beside: Initial commanded position along the normal [m].
 
     Attributes:
         seating: What the connector asks for.
@@ -71,11 +72,14 @@ class SeatingGuide(InsertionGuide):
         snap_force: Force at which the card has snapped in [N]; NaN before.
     """
 
-    def __init__(self, config: GuideConfig, start: FloatArray, seating: SeatingConfig) -> None:
+    def __init__(
+        self, config: GuideConfig, start: FloatArray, seating: SeatingConfig, beside: float = 0.0
+    ) -> None:
         super().__init__(config, start)
-        self.seating, self.beside, self.snap_force = seating, 0.0, math.nan
+        self.seating, self.beside, self.snap_force = seating, beside, math.nan
+        self._first_beside = beside
         self._zero = np.zeros(6)
-        self._beside_force = self._peak = self._least = 0.0
+        self._beside_force = self._peak = self._least = self._moment = 0.0
 
     def _sense(self, wrench: FloatArray) -> None:
         super()._sense(wrench[[0, 1, 5]])
@@ -91,19 +95,26 @@ class SeatingGuide(InsertionGuide):
         self.phase, seating = Phase.SEAT, self.seating
         push = -float(self._wrench[1])
         snapped = not math.isnan(self.snap_force)
-        self._least = min(self._least, push)
+        if push < self._least:
+            self._least, self._moment = push, float(self._wrench[2])
         if self._load > seating.push + 0.5 * seating.snap:
             self._draw_back("force")
         elif snapped:
-            rise, aside = push - self._least, abs(self._wrench[2]) / max(push, 1e-9)
-            if rise > seating.bottom_force and aside < seating.square:
+            rise, moment = push - self._least, abs(self._wrench[2] - self._moment)
+            if rise > seating.bottom_force and moment < seating.square * rise:
                 self.phase = Phase.DONE
         else:
             self._peak = max(self._peak, self._load)
             if self._peak > 0.5 * seating.snap and push < (1.0 - seating.fall) * self._peak:
                 self.snap_force, self._least = self._peak, push
+                self._moment = float(self._wrench[2])
             elif push > seating.push:
                 self._draw_back("force")
+
+    def _draw_back(self, reason: str) -> None:
+        """Retreat, by which a card that had snapped in comes out again."""
+        super()._draw_back(reason)
+        self.snap_force = math.nan
 
     def _move(self) -> None:
         super()._move()
@@ -111,8 +122,14 @@ class SeatingGuide(InsertionGuide):
         if not self.over:
             rate = seating.give * beyond(self._beside_force, seating.deadband)
             self.beside += rate * self.config.period
-        if abs(self.beside) > seating.reach:
+        if abs(self.beside - self._first_beside) > seating.reach:
             self._fail("out of reach")
+
+    def _turn_away(self) -> float:
+        """Return the turning rate; of a card that has snapped in, by what the bottom adds."""
+        if math.isnan(self.snap_force):
+            return super()._turn_away()
+        return self._turn_by(float(self._wrench[2]) - self._moment)
 
     def _advance_speed(self) -> float:
         """Return the speed ahead: before the connector it does not fall with the push."""

@@ -14,6 +14,7 @@ from controllers.insertion.drawing import InsertionDrawing
 from controllers.insertion.guidance import Guidance, GuidanceLink
 from controllers.insertion.guide import GuideConfig
 from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
+from controllers.insertion.seating import SeatingConfig
 from controllers.insertion.watching import Surroundings
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.base_tilt import TiltAxis
@@ -139,6 +140,17 @@ def guide_config(drawing: InsertionDrawing, pitch: TiltAxis) -> GuideConfig:
         moment_deadband=0.04,
         filter_time=0.1,
     )
+
+
+def seating_config(drawing: InsertionDrawing) -> SeatingConfig | None:
+    """Return what seats a card in its connector, as it is drawn; None for a slot without one.
+
+    Args:
+        drawing: Drawing of card and slot.
+    """
+    if drawing.connector is None:
+        return None
+    return SeatingConfig(drawing.connector.depth, drawing.connector.snap, speed=0.0015)
 
 
 def marker_guide(

@@ -2,8 +2,8 @@
 
 Rough ground, springs, radio, stereo images, wrench: the controllers get what the robots measure and
 nothing else. Trials are paired by their seeds: both placements get the same ground, starts, errors
-of the map and noise. Each width of the slot has seeds of its own. Four parts: Table 5-1, what must
-fail, ten times the camera noise, and faults.
+of the map and noise. Each width of the slot has seeds of its own. Five parts: Table 5-1, what must
+fail, ten times the camera noise, faults, and card guides with a connector (``docs/mission.md``).
 """
 
 import dataclasses
@@ -21,6 +21,7 @@ from experiments.ch5.insertion_figures import (
     draw_table,
 )
 from experiments.ch5.insertion_film import film_trial
+from experiments.ch5.insertion_scene import TOUCH
 from experiments.ch5.insertion_setting import NOISE_DB, InsertionTrial
 from experiments.ch5.insertion_trial import InsertionOutcome, run_trial
 from experiments.harness import contract
@@ -28,7 +29,8 @@ from experiments.harness.contract import OptionError
 from experiments.harness.intervals import Distribution, distribution, mcnemar, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from models.datasheets import CARD_AND_SLOT, INCH
+from models.card_and_slot.guides import width_of
+from models.datasheets import CARD_AND_SLOT, CARD_GUIDE, INCH
 from perception.markers.bodies import DETECTORS
 from twin.realism import RealismName
 
@@ -41,7 +43,10 @@ THESIS = {
 NOISY_DB = NOISE_DB - 20.0
 """Ten times the noise [dB]."""
 MOST_FORCE = 10.0
-PARTS = ("table", "impossible", "noise", "faults")
+SEATED, TOUCHED, SEATING_FORCE = 0.9, 0.8, 20.0
+"""Bars of the insertion into guides: success at the medium clearance, share that touches them, and
+95th percentile of the largest contact forces [N]."""
+PARTS = ("table", "impossible", "noise", "faults", "guides")
 Results = list[InsertionOutcome]
 Cells = dict[tuple[str, float], Results]
 Shares = dict[tuple[str, float], Distribution]
@@ -55,7 +60,7 @@ class Options(contract.Options):
         detector: Marker detector: blob, or tht for the thesis' own.
         realism: How far robots, their sensors and cameras are from their drawings: ideal, default
             or harsh; with any but ideal each seed has robots of its own.
-        parts: Which parts to run: table, impossible, noise, faults (unless said, all).
+        parts: Which parts to run: table, impossible, noise, faults, guides (unless said, all).
     """
 
     detector: str = "blob"
@@ -82,12 +87,20 @@ def run(options: Options, output: Output) -> None:
 
     Args:
         options: ``quick`` takes one pair of trials at the narrowest slot and one at a slot that is
-            too narrow, instead of 30 pairs at each width, 10 impossible and noisy ones and 3 of
-            each fault.
+            too narrow, instead of 30 pairs at each width, 10 impossible and noisy ones, 3 of
+            each fault and 30 into guides of each clearance.
         output: Receives ``success/<optimal or random>/<width>``, ``mcnemar_p/<width>``,
-            ``success/impossible`` and more, and the figures 5-11 to 5-14.
+            ``success/impossible`` and more, and the figures 5-11 to 5-14; of guides
+            ``success/guides/<clearance in mm>``, ``contact_fraction``, ``contact_force_n`` and
+            ``snap_force_n``.
     """
-    runs = {"table": _table, "impossible": _impossible, "noise": _noise, "faults": _faults}
+    runs = {
+        "table": _table,
+        "impossible": _impossible,
+        "noise": _noise,
+        "faults": _faults,
+        "guides": _guides,
+    }
     quick = ("table", "impossible")
     base = InsertionTrial(
         CARD_AND_SLOT.slot_widths[-1],
@@ -171,7 +184,7 @@ def _measure_all(jobs: Sequence[InsertionTrial], results: Results, output: Outpu
     errors = np.abs([r.hand_over for r in results if not math.isnan(r.hand_over[0])])
     if len(errors):
         output.measure("hand_over_mm", distribution(1e3 * errors[:, 0]))
-        output.measure("hand_over_deg", distribution(np.degrees(errors[:, 1])))
+        output.measure("hand_over_deg", distribution(np.degrees(errors[:, 3])))
     output.measure("seconds", distribution(r.seconds for r in results))
     for placement in PLACEMENTS:
         chosen = [r for job, r in zip(jobs, results) if _placement(job) == placement]
@@ -195,7 +208,7 @@ def _tabulate(jobs: Sequence[InsertionTrial], results: Results, output: Output) 
                "moves"]  # fmt: skip
     rows = [
         [job.width / INCH, _placement(job), job.seed, r.success, r.reason, r.seconds, r.peak,
-         1e3 * r.hand_over[0], math.degrees(r.hand_over[1]), r.station.distance,
+         1e3 * r.hand_over[0], math.degrees(r.hand_over[3]), r.station.distance,
          math.degrees(r.station.slant), r.seen, r.moves]
         for job, r in zip(jobs, results)
     ]  # fmt: skip
@@ -269,3 +282,42 @@ def _faults(options: Options, base: InsertionTrial, output: Output) -> None:
         rows += [[fault.value, stated, r.success, r.reason, r.seconds, r.peak] for r in chosen]
     columns = ["fault", "stated end", "inserted", "reason", "time [s]", "peak [N]"]
     output.table("faults", columns, rows)
+
+
+def _guides(options: Options, base: InsertionTrial, output: Output) -> None:
+    """Insert the card into guides until it snaps into their connector, at each clearance."""
+    seeds, clearances = options.job_seeds(30, 1), CARD_GUIDE.clearances
+    jobs = [
+        dataclasses.replace(base, width=width_of(clearance), seed=seed, guides=True)
+        for clearance in clearances
+        for seed in seeds
+    ]
+    results = sweep(run_trial, jobs, options, output, label="into guides")
+    for index, clearance in enumerate(clearances):
+        share = _success(results[index * len(seeds) : (index + 1) * len(seeds)])
+        output.measure(f"success/guides/{1e3 * clearance:g}", share)
+        if clearance == clearances[1]:
+            value = float(share["mean"])
+            output.check("into guides, medium clearance", value, f">= {SEATED:g}", value >= SEATED)
+    guided = [r for r in results if not math.isnan(r.hand_over[0])]
+    if guided:
+        touched = success_fraction(r.touch > TOUCH for r in guided)
+        output.measure("contact_fraction", touched)
+        value = float(touched["mean"])
+        output.check("that touch the guides", value, f">= {TOUCHED:g}", value >= TOUCHED)
+        forces = distribution(r.peak for r in guided)
+        output.measure("contact_force_n", forces)
+        most = float(forces["p95"])
+        bar = f"<= {SEATING_FORCE:g}"
+        output.check("contact force, p95 [N]", most, bar, most <= SEATING_FORCE)
+    snaps = [r.snap for r in guided if not math.isnan(r.snap)]
+    if snaps:
+        output.measure("snap_force_n", distribution(snaps))
+    columns = ["clearance [mm]", "seed", "success", "reason", "time [s]", "peak [N]", "snap [N]",
+               "across [mm]", "turn [deg]", "yaw [deg]", "roll [deg]"]  # fmt: skip
+    rows = [
+        [500.0 * (job.width - CARD_AND_SLOT.card_width), job.seed, r.success, r.reason, r.seconds,
+         r.peak, r.snap, 1e3 * r.hand_over[0], *np.degrees(r.hand_over[3:])]
+        for job, r in zip(jobs, results)
+    ]  # fmt: skip
+    output.table("guides", columns, rows)

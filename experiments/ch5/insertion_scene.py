@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import CameraStation, best_camera_station
-from controllers.insertion.drawing import InsertionDrawing
+from controllers.insertion.drawing import Connector, InsertionDrawing
 from models.card_and_slot.build import PAINT
 from models.card_and_slot.stand import CARD_AXES, CARD_FORCE, SLOT_HEIGHT, TIP
 from models.compose import (
@@ -23,7 +23,7 @@ from models.compose import (
     arm_hold_voltage,
     make_model,
 )
-from models.datasheets import CARD_AND_SLOT
+from models.datasheets import CARD_AND_SLOT, CARD_GUIDE
 from perception.geometry.arrays import FloatArray
 from perception.markers.poses import BodyCad
 from twin.describe import body_pose, describe_rover
@@ -40,6 +40,13 @@ FIELD = FieldConfig(
     shadows=False,
 )
 """Rough ground that all trials share."""
+SEATED = (1e-3, 1e-3, *np.radians([1.0, 2.5, 1.0]))
+"""What a seated card may be off ahead and beside [m], in turn, yaw and roll [rad]; across it is the
+clearance and 0.2 mm."""
+TOUCH = 0.5
+"""Contact force by which a card has touched the slot [N]."""
+_CONNECTOR = CARD_GUIDE.depth - 6e-3
+"""Depth up to which a contact is one with the guides, before the connector [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,20 +58,23 @@ class InsertionScene:
         slave: (3,) x, y [m] and yaw [rad] of the slave's chassis, world.
         master: (3,) x, y [m] and yaw [rad] of the master's chassis, world.
         field: Configuration of the ground.
+        guides: Whether the slot is of card guides with a connector.
     """
 
     width: float
     slave: tuple[float, float, float]
     master: tuple[float, float, float]
     field: FieldConfig
+    guides: bool = False
 
 
 @functools.cache
-def insertion_drawing(width: float) -> InsertionDrawing:
+def insertion_drawing(width: float, guides: bool = False) -> InsertionDrawing:
     """Return the drawing of card and slot.
 
     Args:
-        width: Width between the slot's walls [m].
+        width: Width between the slot's walls, or the floors of its guides' grooves [m].
+        guides: Whether the slot is of card guides with a connector.
     """
     sheet = CARD_AND_SLOT
     height = sheet.card_thickness / 2.0 + PAINT
@@ -85,6 +95,7 @@ def insertion_drawing(width: float) -> InsertionDrawing:
         # Hand and camera head of the slave, from behind the card to its wrist.
         _box((-0.055, 0.015), (-TIP - 0.02, -TIP + 0.12), (-0.035, 0.035)),
         _box((-0.10, 0.10), (0.045, 0.16), (-0.012, 0.012)),
+        Connector(CARD_GUIDE.depth, CARD_GUIDE.snap) if guides else None,
     )
 
 
@@ -105,7 +116,9 @@ def _box(*sides: tuple[float, float]) -> FloatArray:
 
 def place_insertion(scene: InsertionScene) -> tuple[FieldConfig, tuple[RobotPlacement, ...]]:
     """Return the field with the slot, and the robots, of which the master alone has cameras."""
-    field = dataclasses.replace(scene.field, slot_width=scene.width, shadows=False)
+    field = dataclasses.replace(
+        scene.field, slot_width=scene.width, card_guides=scene.guides, shadows=False
+    )
     master = RobotPlacement(MASTER, scene.master[:2], scene.master[2], stereo=True)
     slave = RobotPlacement(SLAVE, scene.slave[:2], scene.slave[2], stereo=False, card=True)
     return field, (master, slave)
@@ -146,21 +159,58 @@ def begin_with_camera_at(model: mujoco.MjModel, angles: FloatArray) -> None:
 
 
 def card_in_slot(data: mujoco.MjData) -> FloatArray:
-    """Return the card's true pose in the slot: (6,) across, ahead, beside [m], and turns [rad].
+    """Return the card's true pose in the slot, (6,) as of `in_slot`."""
+    return in_slot(transform_between(data, f"{SLAVE}/card", "slot"))
 
-    The turns are pitch (about the normal) and those about the slot's x and y axes.
+
+def in_slot(transform_card_to_slot: RigidTransform) -> FloatArray:
+    """Return a pose of the card: (6,) across, ahead, beside [m]; turn, yaw and roll [rad].
+
+    The angles are those about the slot's normal, its axis across and that ahead.
     """
-    slot, card = data.body("slot"), data.body(f"{SLAVE}/card")
-    turn = slot.xmat.reshape(3, 3)
-    relative = Rotation.from_matrix(turn.T @ card.xmat.reshape(3, 3)).as_rotvec()
-    return np.array([*(turn.T @ (card.xpos - slot.xpos)), relative[2], relative[0], relative[1]])
+    yaw, roll, turn = transform_card_to_slot.rotation.as_rotvec()
+    return np.array([*transform_card_to_slot.translation, turn, yaw, roll])
 
 
-def contact_force(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray:
-    """Return (3,) what truly touches the card [N], card frame, but for the card's inertia."""
-    body = model.body(f"{SLAVE}/card").id
-    weight = data.xmat[body].reshape(3, 3).T @ model.opt.gravity * model.body_mass[body]
-    return -data.sensor(CARD_FORCE).data - weight
+def contact_force(data: mujoco.MjData) -> FloatArray:
+    """Return (3,) the true force by all that touches the card [N], card frame."""
+    return -data.body(f"{SLAVE}/card").xmat.reshape(3, 3).T @ data.sensor(CARD_FORCE).data
+
+
+class CardForces:
+    """Largest true contact forces on the card.
+
+    Attributes:
+        peak: Largest of all [N].
+        touch: Largest while force guides the card, and it is before the connector [N].
+    """
+
+    def __init__(self) -> None:
+        self.peak = self.touch = 0.0
+
+    def note(self, data: mujoco.MjData, guided: bool) -> None:
+        """Take one tick.
+
+        Args:
+            data: State of the scene.
+            guided: Whether force guides the card.
+        """
+        force = float(np.linalg.norm(contact_force(data)))
+        self.peak = max(self.peak, force)
+        if guided and card_in_slot(data)[1] < _CONNECTOR:
+            self.touch = max(self.touch, force)
+
+
+def is_seated(card: FloatArray, width: float) -> bool:
+    """Return whether a card is seated in its guides; also where its pose is not known.
+
+    Args:
+        card: (6,) pose of the card in the slot, see `in_slot`; NaN where it is not known.
+        width: Distance between the floors of the grooves [m].
+    """
+    across = (width - CARD_AND_SLOT.card_width) / 2.0 + 2e-4
+    off = np.abs(card - [0.0, CARD_GUIDE.depth, 0.0, 0.0, 0.0, 0.0])
+    return not np.any(off > [across, *SEATED])
 
 
 def transform(data: mujoco.MjData, body: str) -> RigidTransform:

@@ -21,6 +21,7 @@ from controllers.insertion.team import (
     InsertionTeam,
     guide_config,
     marker_guide,
+    seating_config,
     surrogate_sensing,
 )
 from controllers.motion.base_tilt import drawn_springs
@@ -108,7 +109,7 @@ class InsertionTrial:
     """Settings of one trial.
 
     Attributes:
-        width: Width between the slot's walls [m].
+        width: Width between the slot's walls, or the floors of its guides' grooves [m].
         optimal: Whether the camera is placed optimally, or at random.
         seed: Seed of field, initial poses, errors and noise, the same for both placements.
         noise_db: Signal-to-noise ratio of the cameras [dB].
@@ -116,6 +117,7 @@ class InsertionTrial:
         realism: How far robots, sensors and cameras are from their drawings.
         fault: Name of the `Fault` that happens; empty for none.
         trace: Whether the result holds the course.
+        guides: Whether the slot is of card guides with a connector.
     """
 
     width: float
@@ -126,6 +128,7 @@ class InsertionTrial:
     realism: RealismName = "ideal"
     fault: str = ""
     trace: bool = False
+    guides: bool = False
 
 
 @dataclasses.dataclass
@@ -161,7 +164,7 @@ def prepare(trial: InsertionTrial) -> Setting:
     realism = realism_of(trial.realism)
     master = as_stated(describe_rover(MASTER), realism)
     slave = describe_rover(SLAVE, card=True)
-    drawing = insertion_drawing(trial.width)
+    drawing = insertion_drawing(trial.width, trial.guides)
     if trial.optimal:
         station = best_station(trial.width)
     else:
@@ -172,7 +175,7 @@ def prepare(trial: InsertionTrial) -> Setting:
     # The master came by dead reckoning, and knows where it is by the map.
     away = np.array([arrival.station[0], *arrival.station]) * scene_rng.normal(size=3)
     x, y, heading = np.array(station.place) + away
-    scene = InsertionScene(trial.width, (beside, -ahead, yaw), (x, y, heading), field)
+    scene = InsertionScene(trial.width, (beside, -ahead, yaw), (x, y, heading), field, trial.guides)
     model = compile_insertion(scene, trial.realism, trial.seed)
     # Where the card is the master is told by the slave, as well as that knows where it stands.
     slot_error, card_error, slave_error = prior_rng.normal(size=(3, 6))
@@ -208,7 +211,7 @@ def prepare(trial: InsertionTrial) -> Setting:
     )
     springs = drawn_springs(slave)
     inserter = CardInserter(
-        CardInserterConfig(guide_config(drawing, springs[0])),
+        CardInserterConfig(guide_config(drawing, springs[0]), seating_config(drawing)),
         CardArm(slave, drawing.tip),
         SkidSteer.of(slave, _turn_share(trial, scene, arrival, prior_rng), arrival.share),
         *_mapped_slot(begun, SLAVE, known_to_slave, slave_error),

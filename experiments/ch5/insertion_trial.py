@@ -11,11 +11,14 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.camera_station import CameraStation
 from controllers.insertion.card_inserter import InsertionStage
+from controllers.insertion.seating import SeatingGuide
 from experiments.ch5.insertion_scene import (
     MASTER,
     SLAVE,
+    CardForces,
     card_in_slot,
     contact_force,
+    is_seated,
     transform_between,
 )
 from experiments.ch5.insertion_setting import InsertionTrial, Setting, prepare
@@ -56,8 +59,10 @@ class InsertionOutcome:
         seconds: Robot time [s].
         wall: Wall time of the loop [s].
         peak: Largest true contact force [N].
-        hand_over: (2,) true errors across [m] and turn [rad] when force takes over; NaN if it
-            never did.
+        touch: The same, as far as the card is before the connector and force guides it [N].
+        snap: Force at which the card snapped in, as felt [N]; NaN if it did not.
+        hand_over: (6,) true error of the card when force takes over, see `card_in_slot`; NaN if
+            it never did.
         gap: Distance of the card before the mouth at the end [m].
         station: Camera station of the master.
         seen: Share of stereo pairs in which card and slot were seen.
@@ -73,6 +78,8 @@ class InsertionOutcome:
     seconds: float
     wall: float
     peak: float
+    touch: float
+    snap: float
     hand_over: FloatArray
     gap: float
     station: CameraStation
@@ -90,8 +97,8 @@ class Scorer(LoopRecorder):
         setting: Trial that is run.
 
     Attributes:
-        peak: Largest true contact force [N].
-        hand_over: (2,) true error across [m] and turn [rad] when force takes over; NaN before.
+        forces: Largest contact forces on the card.
+        hand_over: (6,) true error of the card when force takes over; NaN before.
         whole: Whether card and slot were seen, for each stereo pair.
         course: Rows of `COURSE`.
         finite: Whether all states were finite.
@@ -100,8 +107,8 @@ class Scorer(LoopRecorder):
     """
 
     def __init__(self, setting: Setting) -> None:
-        self.peak, self.finite = 0.0, True
-        self.hand_over = np.full(2, math.nan)
+        self.forces, self.finite = CardForces(), True
+        self.hand_over = np.full(6, math.nan)
         self.course: list[list[float]] = []
         self.whole: list[bool] = []
         self.nees: list[float] = []
@@ -112,13 +119,13 @@ class Scorer(LoopRecorder):
         """Take one tick."""
         team, data = self._setting.team, self._setting.simulation.data
         inserter, sent = team.slave.inserter, team.master.sent
-        force = contact_force(self._setting.simulation.model, data)
+        force = contact_force(data)
         now = tick.observations[MASTER].time  # By the clock that stamps what the master sends.
         self._truths.append((now, transform_between(data, "slot", f"{SLAVE}/card")))
-        self.peak = max(self.peak, float(np.linalg.norm(force)))
+        self.forces.note(data, inserter.guide is not None)
         self.finite &= bool(np.isfinite(data.qpos).all())
         if inserter.guide is not None and math.isnan(self.hand_over[0]):
-            self.hand_over = card_in_slot(data)[[0, 3]]
+            self.hand_over = card_in_slot(data)
         stereo = tick.observations[MASTER].stereo
         if stereo.usable and stereo.stamp != self._stamp:
             self._stamp = stereo.stamp
@@ -155,15 +162,20 @@ def perform(setting: Setting, recorders: Sequence[LoopRecorder] = ()) -> Inserti
         LIMIT,
         until=lambda: inserter.over,
     )
-    final = card_in_slot(simulation.data)
-    seated = final[1] >= inserter.config.guide.depth - 2e-3 and abs(final[2]) < 0.01
+    final, guide = card_in_slot(simulation.data), inserter.guide
+    if setting.trial.guides:
+        seated = is_seated(final, setting.trial.width)
+    else:
+        seated = final[1] >= inserter.config.guide.depth - 2e-3 and abs(final[2]) < 0.01
     return InsertionOutcome(
         success=bool(inserter.stage is InsertionStage.DONE and seated),
         stage=inserter.stage,
         reason=inserter.reason,
         seconds=simulation.time,
         wall=summary.wall,
-        peak=scorer.peak,
+        peak=scorer.forces.peak,
+        touch=scorer.forces.touch,
+        snap=guide.snap_force if isinstance(guide, SeatingGuide) else math.nan,
         hand_over=scorer.hand_over,
         gap=-final[1],
         station=setting.station,

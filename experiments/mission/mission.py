@@ -17,6 +17,7 @@ import numpy as np
 
 from controllers.mission.team import OMITTABLE, STAGES
 from experiments.ch2.rover.confidence import measure_confidence
+from experiments.ch5.insertion_scene import TOUCH
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import (
@@ -43,7 +44,11 @@ of the station [mm, deg], and its squared normalised error over its degrees of f
 DEMONSTRATION = 10
 """Seed of the mission of ``--quick``: the first from 1 on whose rovers both begin within 4 m of the
 slot, as their initial poses are drawn; chosen before it was run, for it is short."""
-MAP_BYTES, LARGEST_FORCE = 20_000, 10.0  # Bytes of maps on the air; force on the card [N].
+MAP_BYTES = 20_000
+"""Bar of the bytes of maps on the air."""
+TOUCHED, FORCE = 0.8, 20.0
+"""Bars: share of the insertions in which the guides are touched, and the 95th percentile of the
+largest contact forces [N]."""
 Results = Sequence[MissionResult]
 
 
@@ -111,7 +116,8 @@ def run(options: Options, output: Output) -> None:
             ``station_nees``, ``first_stop_miss_mm``, ``first_stop_miss_deg``, ``path_ratio``,
             ``collisions`` and ``tip_overs`` (counts), ``collided_fraction``, ``map_bytes``,
             ``radio_bytes/<stage>``, ``stage_seconds/<stage>``, ``driven_m/<robot>``, ``seconds``,
-            ``wall_over_sim_time``, ``largest_force`` and the identification's errors; with
+            ``wall_over_sim_time``, ``contact_fraction``, ``contact_force_n``, ``snap_force_n`` and
+            the identification's errors; with
             ``/<cell>`` fractions and collisions of further missions, ``lost_and_won/<cell>``, and
             the p of both, corrected for their number: ``success_p/<cell>``,
             ``collisions_p/<cell>``.
@@ -240,10 +246,15 @@ def _measure_contacts(results: Results, output: Output) -> None:
     output.measure("tip_overs", fallen)
     for what, count in (("collisions", sum(touches)), ("rovers tipped over", fallen)):
         _check(what, count, -math.inf, 0, output)
+    _measure_some("snap_force_n", [r.snap for r in results], output)
     forces = [r.peak for r in results if r.peak > 0.0]
     if forces:
-        output.measure("largest_force", max(forces))
-        _check("largest force on the card [N]", max(forces), -math.inf, LARGEST_FORCE, output)
+        output.measure("contact_force_n", distribution(forces))
+        most = float(np.percentile(forces, 95.0))
+        _check("contact force, p95 [N]", most, -math.inf, FORCE, output)
+        touched = success_fraction(r.touch > TOUCH for r in results if r.peak > 0.0)
+        output.measure("contact_fraction", touched)
+        _check("insertions that touch the guides", touched["mean"], TOUCHED, math.inf, output)
 
 
 def _measure_places(results: Results, output: Output) -> None:
@@ -308,12 +319,13 @@ def _tabulate(
 ) -> None:
     names = np.repeat(cells, len(jobs) // len(cells)).tolist()
     columns = ["cell", "seed", "success", "arrived", "stage", "reason", "time [s]", "wall/time",
-               "slave off its place [mm]", "collisions", "driven [m]", "peak [N]", "across [mm]",
-               "ahead [mm]", "map [bytes]"]  # fmt: skip
+               "slave off its place [mm]", "collisions", "driven [m]", "peak [N]", "snap [N]",
+               "across [mm]", "ahead [mm]", "yaw [deg]", "map [bytes]"]  # fmt: skip
     rows = [
         [name or "whole", j.seed, r.success, r.arrived, "" if r.success else _stage_of(r),
          r.reason, r.seconds, r.wall_over_sim, 1e3 * r.place_error, len(r.collisions),
-         sum(r.driven), r.peak, 1e3 * r.across, 1e3 * r.ahead, r.map_bytes]
+         sum(r.driven), r.peak, r.snap, 1e3 * r.card[0], 1e3 * r.card[1],
+         math.degrees(r.card[4]), r.map_bytes]
         for name, j, r in zip(names, jobs, results, strict=True)
     ]  # fmt: skip
     output.table("missions", columns, rows)

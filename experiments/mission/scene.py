@@ -80,7 +80,7 @@ def draw_scene(width: float, rng: np.random.Generator) -> MissionScene:
     """Draw ground, site and initial poses.
 
     Args:
-        width: Width between the slot's walls [m].
+        width: Distance between the floors of the grooves of the slot's guides [m].
         rng: Random generator for all that is drawn.
     """
     steep, uphill = rng.uniform(0.0, _STEEPEST), rng.uniform(-math.pi, math.pi)
@@ -101,6 +101,7 @@ def draw_scene(width: float, rng: np.random.Generator) -> MissionScene:
         slope=(steep * math.cos(uphill), steep * math.sin(uphill)),
         panel=panel,
         slot_width=width,
+        card_guides=True,
         clear=(*_FIELD.clear, _below_card(poses[SLAVE])),
         screens=(_PLINTH, *walls, pillar, *(_block(pose, rng) for pose in poses.values())),
     )
@@ -139,7 +140,7 @@ def survey(scene: MissionScene, rng: np.random.Generator) -> SiteDrawing:
     panel = scene.field.panel
     marker = panel.markers[0]
     return SiteDrawing(
-        insertion_drawing(scene.field.slot_width),
+        insertion_drawing(scene.field.slot_width, guides=True),
         TargetCad(panel.marker_points, marker.radius, marker.dark),
         drawn,
         transport_covariance(centred, np.diag(deviations**2)),

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.card_inserter import InsertionStage
+from controllers.insertion.seating import SeatingGuide
 from controllers.insertion.team import InsertionSlave
 from controllers.mapping.map_sharing import FRAGMENT, RECEIPT
 from controllers.mission.robot_mission import RobotMission
@@ -21,7 +22,13 @@ from controllers.mission.stages.insert import GuideInsertion, InsertCard
 from controllers.mission.team import MissionConfig, MissionTeam
 from experiments.ch2.rover.confidence import RobotIdentification
 from experiments.ch2.rover.laboratory import laboratory_values
-from experiments.ch5.insertion_scene import contact_force, insertion_drawing, transform
+from experiments.ch5.insertion_scene import (
+    CardForces,
+    in_slot,
+    insertion_drawing,
+    is_seated,
+    transform,
+)
 from experiments.mission.collisions import Collision, CollisionMonitor, TipOverMonitor
 from experiments.mission.scene import (
     CARD_PLACE,
@@ -33,8 +40,9 @@ from experiments.mission.scene import (
     survey,
 )
 from experiments.mission.shortest import shortest_path
+from models.card_and_slot.guides import width_of
 from models.compose import RobotPlacement, make_terrain
-from models.datasheets import CARD_AND_SLOT
+from models.datasheets import CARD_GUIDE
 from perception.geometry.arrays import FloatArray
 from twin.camera import StereoConfig
 from twin.connect import Connection, LineConfig, connect
@@ -52,7 +60,8 @@ degrees of freedom exceeds it once in a thousand."""
 NEAR_PLACE = (0.05, math.radians(5.0))
 """Largest true distance [m] and turn [rad] of the slave from its place."""
 _TRACKED = 100  # Ticks between two points of a track.
-_SEATED = (2e-3, 0.01)  # What the card may lack of its depth, and be off across the faces [m].
+MOST_FORCE = 30.0
+"""Contact force on a card that is too large [N]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,7 +75,7 @@ class MissionTrial:
         robot: Robots that are driven: sim, quantised, emulated or serial:PORT,...
         realism: How far simulated robots and their sensors are from their drawings.
         only: Last stage that is run; empty for all.
-        width: Width between the slot's walls [m].
+        clearance: Distance between each of the card's edges and its groove [m].
     """
 
     seed: int
@@ -75,7 +84,12 @@ class MissionTrial:
     robot: str = "sim"
     realism: RealismName = "default"
     only: str = ""
-    width: float = CARD_AND_SLOT.slot_widths[-1]
+    clearance: float = CARD_GUIDE.clearances[1]
+
+    @property
+    def width(self) -> float:
+        """Distance between the floors of the grooves [m]."""
+        return width_of(self.clearance)
 
 
 @dataclasses.dataclass
@@ -202,10 +216,13 @@ class MissionResult:
         misses: (stops, 2) distance of the master from its station [m] and from its heading [rad]
             at each of its stops.
         detected: Whether the master has seen card and slot in one pair.
-        seated: Whether the slave reports success and the card is truly in the slot.
-        peak: Largest true force on the card during the insertion [N]; NaN where it is not known.
-        across: Position of the card across the slot at the end [m]; NaN where it is not known.
-        ahead: Depth of the card in the slot at the end [m].
+        seated: Whether the slave reports success and the card is truly seated, see `is_seated`.
+        peak: Largest true contact force on the card during the insertion [N]; NaN where it is not
+            known.
+        touch: The same, as far as the card is before the connector and force guides it [N].
+        snap: Force at which the card snapped in, as felt [N]; NaN if it did not.
+        card: (6,) pose of the card in the slot at the end: across, ahead, beside [m]; turn, yaw,
+            roll [rad]; NaN where it is not known.
         driven: Distance driven by master and slave [m].
         paths: Ways from first localizations to places that were reached.
         collisions: What the rovers touched; none where it is not known.
@@ -229,8 +246,9 @@ class MissionResult:
     detected: bool
     seated: bool
     peak: float
-    across: float
-    ahead: float
+    touch: float
+    snap: float
+    card: FloatArray
     driven: tuple[float, float]
     paths: tuple[PathResult, ...]
     collisions: tuple[Collision, ...]
@@ -255,8 +273,9 @@ class MissionResult:
 
     @property
     def success(self) -> bool:
-        """Whether both have arrived, and the card is in the slot."""
-        return self.arrived and self.seated
+        """Whether both have arrived, and the card is seated, with no harm done."""
+        harmed = self.peak > MOST_FORCE or bool(self.fallen)
+        return self.arrived and self.seated and not harmed
 
 
 class MissionScorer(LoopRecorder):
@@ -268,8 +287,7 @@ class MissionScorer(LoopRecorder):
         slave_place: (3,) true x, y [m] and yaw [rad] of the slave after its approach; NaN before.
         misses: Distance of the master from its station [m] and its heading [rad] at each stop.
         detected: Whether the master has seen card and slot in one pair.
-        peak: Largest true force on the card during the insertion [N], 0 before it; NaN where it is
-            not known.
+        forces: Largest contact forces on the card during the insertion.
         paths: Ways from first localizations to places that were reached.
         tracks: True x, y of each rover, once a second [m], by its name.
     """
@@ -280,7 +298,7 @@ class MissionScorer(LoopRecorder):
         self.slave_place = np.full(3, np.nan)
         self.misses: list[tuple[float, float]] = []
         self.detected = False
-        self.peak = 0.0 if mission.connection.simulation is not None else math.nan
+        self.forces = CardForces()
         self.paths: list[PathResult] = []
         self.tracks: dict[str, list[FloatArray]] = {MASTER: [], SLAVE: []}
         self._mission = mission
@@ -293,10 +311,9 @@ class MissionScorer(LoopRecorder):
         if tick.step % _TRACKED == 0:
             for name, track in self.tracks.items():
                 track.append(mission.place(name)[:2])
-        simulation = mission.connection.simulation
-        if simulation is not None and mission.insertion is not None:
-            force = contact_force(simulation.model, simulation.data)
-            self.peak = max(self.peak, float(np.linalg.norm(force)))
+        if mission.connection.simulation is not None and mission.insertion is not None:
+            guided = mission.insertion.inserter.guide is not None
+            self.forces.note(mission.connection.simulation.data, guided)
         for name in mission.team.ended[len(self.stages) :]:
             self.stages[name] = tick.time
         for part in mission.team.parts:
@@ -441,7 +458,7 @@ def perform(mission: Mission, recorders: Sequence[LoopRecorder] = ()) -> Mission
         for (stage, _), count in part.radio.bytes_sent.items():
             sent[stage] += count
     apart, turn = _off_place(scorer.slave_place)
-    card = _card_in_slot(mission)
+    card = _card_at_end(mission)
     return MissionResult(
         failed_stage=failed,
         reason=reason,
@@ -454,9 +471,10 @@ def perform(mission: Mission, recorders: Sequence[LoopRecorder] = ()) -> Mission
         misses=np.array(scorer.misses).reshape(-1, 2),
         detected=scorer.detected,
         seated=_is_seated(mission, card),
-        peak=scorer.peak,
-        across=float(card[0]),
-        ahead=float(card[1]),
+        peak=scorer.forces.peak if simulation is not None else math.nan,
+        touch=scorer.forces.touch if simulation is not None else math.nan,
+        snap=_snap_force(mission),
+        card=card,
         driven=(
             team.master.belief.navigator.odometry.distance,
             team.slave.belief.navigator.odometry.distance,
@@ -487,22 +505,27 @@ def run_mission(trial: MissionTrial) -> MissionResult:
         return perform(mission)
 
 
-def _card_in_slot(mission: Mission) -> FloatArray:
-    """Return the true position (3,) of the card in the slot's frame [m]; NaN if unknown."""
+def _card_at_end(mission: Mission) -> FloatArray:
+    """Return the true pose (6,) of the card in the slot, see `MissionResult`; NaN if unknown."""
     poses = mission.poses(SLAVE)
     if not poses:
-        return np.full(3, np.nan)
-    return np.asarray((poses["slot"].inv() * poses["card"]).translation)
+        return np.full(6, np.nan)
+    return in_slot(poses["slot"].inv() * poses["card"])
+
+
+def _snap_force(mission: Mission) -> float:
+    """Return the force at which the card snapped in, as felt [N]; NaN if it did not."""
+    guide = None if mission.insertion is None else mission.insertion.inserter.guide
+    return guide.snap_force if isinstance(guide, SeatingGuide) else math.nan
 
 
 def _is_seated(mission: Mission, card: FloatArray) -> bool:
-    """Return whether the slave reports success and the card, where it is known, is in the slot."""
+    """Return whether the slave reports a seated card, and where it is known it is one."""
     if mission.insertion is None:
         return False
-    inserter, (short, beside) = mission.insertion.inserter, _SEATED
     # Nobody measures the card of real robots: then the slave's report alone counts.
-    off = card[1] < inserter.config.guide.depth - short or abs(card[2]) >= beside
-    return inserter.stage is InsertionStage.DONE and not off
+    done = mission.insertion.inserter.stage is InsertionStage.DONE
+    return done and is_seated(card, mission.trial.width)
 
 
 def _off_place(place: FloatArray) -> tuple[float, float]:

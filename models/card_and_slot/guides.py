@@ -36,6 +36,11 @@ _CLUTCH = {"solref_friction": [0.002, 1.0], "solimp_friction": [0.9999, 0.9999, 
 """Dry friction that creeps by some 0.01 mm in an insertion, not by a decimetre a second."""
 
 
+def width_of(clearance: float) -> float:
+    """Return the distance between the floors of both grooves [m], for a clearance [m] of a card."""
+    return CARD_AND_SLOT.card_width + 2.0 * clearance
+
+
 def add_guides(scene: mujoco.MjSpec, parent: mujoco.MjsBody, clearance: float) -> mujoco.MjsBody:
     """Add the body ``slot`` in the parent's frame: guides, a marker on each, and the connector.
 
@@ -65,21 +70,23 @@ def add_guides(scene: mujoco.MjSpec, parent: mujoco.MjsBody, clearance: float) -
     return body
 
 
-def give_way(card: mujoco.MjsBody) -> None:
+def give_way(card: mujoco.MjsBody, prefix: str = "") -> None:
     """Let a card give way in its gripper: in roll, along its normal, and by slipping back.
 
     Args:
         card: Body of the card, in a scene whose angles are radians; gets the joints ``card_slip``,
             ``card_normal`` and ``card_roll``.
+        prefix: Prefix of these names.
     """
     sheet, middle = CARD_GUIDE, [0.0, -CARD_AND_SLOT.card_length / 2.0, 0.0]
     ahead, normal = [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
     card.add_joint(
-        name="card_slip",
+        name=f"{prefix}card_slip",
         type=_SLIDE,
         axis=ahead,
         frictionloss=sheet.grip,
         range=[-0.03, 0.0],
+        armature=0.0,
         **_CLUTCH,
         **_STOP,
     )
@@ -88,11 +95,14 @@ def give_way(card: mujoco.MjsBody) -> None:
         ("roll", _HINGE, ahead, sheet.roll_range, sheet.roll_stiffness),
     ):
         joint = card.add_joint(
-            name=f"card_{name}",
+            name=f"{prefix}card_{name}",
             type=kind,
             axis=axis,
             pos=middle,
             range=[-reach, reach],
+            # Not what an arm's body has for the joints of its children.
+            frictionloss=0.0,
+            armature=0.0,
             **_STOP,
         )
         joint.stiffness = [stiffness, 0, 0]

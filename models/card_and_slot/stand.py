@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.card_and_slot.build import add_card, add_slot
+from models.card_and_slot.guides import add_guides, give_way
 from models.datasheets import CARD_AND_SLOT
 
 SLOT_HEIGHT = 0.30
@@ -22,42 +23,52 @@ CARD_AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """Columns are the card's axes in the wrist's frame, and the slot's in the world: across is down,
 ahead is forward, the normal is to the right."""
 CARD_FORCE = "truth_card_force"
-"""Sensor of what the hand puts on the card, for scoring alone."""
+"""Sensor of the force by the card on what touches it, world frame, for scoring alone."""
 OVERVIEW, SITE_VIEW = "overview", "site_view"
 """Cameras for pictures: both rovers at the slot, and the site with the panel."""
 _POST = 0.012  # Half width of the post [m].
+_NET_FORCE = 3  # MuJoCo's number of the sum over all contacts.
 
 
-def hold_card(scene: mujoco.MjSpec, robot: str) -> None:
+def hold_card(scene: mujoco.MjSpec, robot: str, gives: bool = False) -> None:
     """Put the card into a robot's gripper.
 
     Args:
         scene: Scene with the robot and its arm.
         robot: Name of the robot.
+        gives: Whether the card gives way in the gripper, see `guides.give_way`.
     """
     card = add_card(scene, scene.body(f"{robot}/wrist"), f"{robot}/")
     card.pos = [0.0, TIP, 0.0]
     card.quat = _quaternion(CARD_AXES)
+    if gives:
+        give_way(card, f"{robot}/")
     scene.add_sensor(
         name=CARD_FORCE,
-        type=mujoco.mjtSensor.mjSENS_FORCE,
-        objtype=mujoco.mjtObj.mjOBJ_SITE,
-        objname=f"{robot}/card_wrench",
+        type=mujoco.mjtSensor.mjSENS_CONTACT,
+        objtype=mujoco.mjtObj.mjOBJ_BODY,
+        objname=f"{robot}/card",
+        intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), _NET_FORCE, 1],
     )
 
 
-def stand_slot(scene: mujoco.MjSpec, width: float, ground: float) -> None:
+def stand_slot(scene: mujoco.MjSpec, width: float, ground: float, guides: bool = False) -> None:
     """Add the slot and what holds it.
 
     Args:
         scene: Scene to add to.
         width: Distance between the slot's walls [m].
         ground: Height of the ground at the origin [m].
+        guides: Whether it is of card guides with a connector, and the width that between the floors
+            of their grooves.
 
     Raises:
-        ValueError: If the width is not a positive length.
+        ValueError: If the width is not a positive length, or not one of a groove for the card.
     """
-    slot = add_slot(scene, scene.worldbody, width)
+    if guides:
+        slot = add_guides(scene, scene.worldbody, (width - CARD_AND_SLOT.card_width) / 2.0)
+    else:
+        slot = add_slot(scene, scene.worldbody, width)
     slot.pos = [0.0, 0.0, ground + SLOT_HEIGHT]
     slot.quat = _quaternion(CARD_AXES)
     _add_post(scene, width, ground)

@@ -89,6 +89,7 @@ class CardGuideSheet:
     spring_force: float = 0.88  # Preload of each spring: the card snaps in at 3.0 N [N]
     spring_stiffness: float = 1000.0  # [N/m] Assumption
     seat: float = 2e-3  # From the springs' middle to the bottom. Assumption
+    snap: float = 3.0  # Force at which the card snaps in, by springs and friction [N]
     roll_range: float = 12.0 * DEGREE
     """Of the gripper about the card's forward axis, each way: of compensation units (Schunk AGE)
     that give way by up to 16 degrees."""

@@ -14,6 +14,7 @@ from controllers.insertion.team import (
     InsertionSlave,
     guide_config,
     marker_guide,
+    seating_config,
     surrogate_sensing,
 )
 from controllers.insertion.watching import Surroundings
@@ -119,7 +120,9 @@ class InsertCard:
         robot, drawing = belief.robot, belief.site.insertion
         arm, springs = CardArm(robot, drawing.tip), belief.springs()
         inserter = CardInserter(
-            CardInserterConfig(guide_config(drawing, drawn_springs(robot)[0])),
+            CardInserterConfig(
+                guide_config(drawing, drawn_springs(robot)[0]), seating_config(drawing)
+            ),
             arm,
             belief.navigator.steer(),
             *belief.slot_in_level(),

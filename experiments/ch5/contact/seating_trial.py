@@ -29,8 +29,6 @@ RINGS = (1, 2, 3)
 """Thirds of it."""
 FRICTIONS = (0.1, 0.3, 0.5)
 """Coefficients of friction between card and slot."""
-SNAP = 3.0
-"""Force at which the connector lets the card in, as drawn [N]: a test has the arithmetic."""
 STAND_OFF, LIMIT, TARE = 0.015, 50.0, 0.5
 """Distance before the mouth at the start [m], longest insertion and time of the tare [s]."""
 MOST_FORCE = 8.5
@@ -92,7 +90,7 @@ class ByForce:
     def __init__(self, start: FloatArray) -> None:
         sheet = CARD_AND_SLOT
         config = GuideConfig(sheet.card_width, sheet.friction, HAND.stiffness, tare=TARE)
-        self.guide = SeatingGuide(config, start, SeatingConfig(CARD_GUIDE.depth, SNAP))
+        self.guide = SeatingGuide(config, start, SeatingConfig(CARD_GUIDE.depth, CARD_GUIDE.snap))
 
     @property
     def over(self) -> bool:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from controllers.insertion.card_arm import inverse, pitch_of, to_plane
 from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.guidance import Guidance
+from controllers.insertion.seating import SeatingConfig
 from controllers.mapping.localization import tilt_to_level
 from controllers.motion.base_tilt import BaseTilt, drawn_springs
 from models import datasheets
@@ -77,6 +78,24 @@ def test_base_tilt_under_the_arm_is_fed_forward():
         ended[fed is base] = slave.error()[0] - begun
     assert abs(ended[False]) > 1e-3
     assert abs(ended[True]) < 0.15 * abs(ended[False])
+
+
+@pytest.mark.parametrize("seats", [True, False])
+def test_a_card_that_comes_askew_before_guides_is_brought_anew(seats):
+    """The robot stops so far beside the slot's line that its arm points 5 degrees across it."""
+    slave = Slave((0.04, -0.53, 0.0))
+    inserter = slave.inserter(seating=SeatingConfig(0.04, 3.0) if seats else None)
+    places = []
+
+    def note():
+        places.append(slave.place[1])
+        return inserter.stage is InsertionStage.INSERT
+
+    slave.run(inserter, 60.0, until=note)
+    assert inserter.stage is InsertionStage.INSERT
+    crooked = abs(slave.error()[4]) > inserter.config.crooked
+    assert crooked != seats
+    assert (min(places) < -0.7) == seats
 
 
 @functools.cache

@@ -16,18 +16,19 @@ START = np.array([0.0, 0.03, 0.0])
 class Connector:
     """Forces of a connector on a card of which the hand's spring is bent by them."""
 
-    def __init__(self, snap=3.0, aside=0.0, bottom=0.04):
-        self.snap, self.aside, self.bottom = snap, aside, bottom
+    def __init__(self, snap=3.0, aside=0.0, bottom=0.04, drift=0.0):
+        self.snap, self.aside, self.bottom, self.drift = snap, aside, bottom, drift
         self.inside = False
 
     def wrench(self, command):
         """Return the wrench (6,) at a commanded pose: the springs, then the bottom aside."""
         push = max(CONFIG.stiffness * (command[1] - (self.bottom - 0.003)), 0.0)
         self.inside |= push > self.snap
+        self.inside &= command[1] > self.bottom - 0.006
         if not self.inside:
             return np.array([0.0, -push, 0.0, 0.0, 0.0, 0.0])
         push = 0.6 + max(CONFIG.stiffness * (command[1] - self.bottom), 0.0)
-        return np.array([0.0, -push, 0.0, 0.0, 0.0, -self.aside * (push - 0.6)])
+        return np.array([0.0, -push, 0.0, 0.0, 0.0, self.drift - self.aside * (push - 0.6)])
 
 
 def seat(connector, steps=3000, config=BOTTOM):
@@ -67,8 +68,20 @@ def test_a_card_that_stands_on_one_corner_turns_until_it_is_square():
             break
     assert guide.phase is Phase.DONE
     assert guide.command[2] < -0.01 and connector.aside < 1.5 * BOTTOM.square
-    stays, _ = seat(Connector(aside=0.03))
-    assert stays.phase is not Phase.DONE
+
+
+def test_a_card_that_was_drawn_out_of_the_connector_has_to_snap_in_anew():
+    guide, connector = SeatingGuide(CONFIG, START, BOTTOM), Connector(snap=5.0, aside=0.03)
+    while not guide.over:
+        guide.step(connector.wrench(guide.command))
+        connector.aside *= guide.tries == 0  # It stands square when it comes again.
+    assert guide.tries > 0 and guide.phase is Phase.DONE
+    assert connector.inside and guide.snap_force == pytest.approx(5.0, rel=0.1)
+
+
+def test_a_moment_that_was_there_before_the_bottom_turns_no_card():
+    guide, _ = seat(Connector(drift=0.1))
+    assert guide.phase is Phase.DONE and abs(guide.command[2]) < 2e-3
 
 
 def test_the_command_gives_way_along_the_normal_beyond_the_deadband_and_no_farther_than_its_reach():

@@ -34,7 +34,6 @@ from experiments.ch5.insertion_scene import (
 from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT, TIP
 from models.compose import ARM_JOINTS, FLAT, RobotPlacement, make_model, settle
 from models.datasheets import CARD_AND_SLOT, ROVER
-from perception.geometry.gravity import GRAVITY
 from tests.controllers.insertion.scenes import (
     ARM,
     DRAWING,
@@ -96,24 +95,27 @@ def test_true_pose_of_a_card_in_the_slot(placed):
     assert pose[4] == pytest.approx(-START[2], abs=5e-3)
 
 
-def test_nothing_touches_a_free_card_and_a_push_is_found(placed):
-    model, data = placed
-    card = model.body(f"{SLAVE}/card").id
-    for push in ([0.0, 0.0, 0.0], [0.0, -3.0, 1.0]):
-        data.xfrc_applied[card, :3] = push
-        mujoco.mj_step(model, data, 400)
-        local = data.body(card).xmat.reshape(3, 3).T @ push
-        np.testing.assert_allclose(contact_force(model, data), local, atol=0.05)
-
-
-def test_nothing_touches_a_free_card_on_a_slope():
+@pytest.mark.parametrize(
+    ("width", "guides"), [(WIDTH, False), (CARD_AND_SLOT.card_width + 1.6e-3, True)]
+)
+def test_force_on_the_card_is_that_of_its_contacts(width, guides):
     field = dataclasses.replace(FLAT, texture_pixels=16, slope=(0.2, -0.15))
-    model = compile_insertion(InsertionScene(WIDTH, START, best_station(WIDTH).place, field))
+    scene = InsertionScene(width, START, best_station(width).place, field, guides)
+    model = compile_insertion(scene)
     data = settle(model, 1.0)
-    np.testing.assert_allclose(contact_force(model, data), 0.0, atol=0.01)
-    # Gravity along -z would leave so much of the card's weight [N].
-    card = model.body(f"{SLAVE}/card")
-    assert card.mass[0] * GRAVITY * np.sin(0.2) > 0.05
+    assert not contact_force(data).any()
+    card = data.body(f"{SLAVE}/card")
+    model.body("slot").pos[:] = card.xpos - [0.0, 5e-4, 5e-3]  # An edge is in a wall.
+    mujoco.mj_forward(model, data)
+    total, wrench = np.zeros(3), np.zeros(6)
+    plate = model.geom(f"{SLAVE}/card_plate").id
+    for index, contact in enumerate(data.contact):
+        if plate in contact.geom:
+            mujoco.mj_contactForce(model, data, index, wrench)
+            sign = 1.0 if contact.geom[1] == plate else -1.0
+            total += sign * contact.frame.reshape(3, 3).T @ wrench[:3]
+    assert np.linalg.norm(total) > 1.0
+    np.testing.assert_allclose(card.xmat.reshape(3, 3) @ contact_force(data), total, atol=1e-9)
 
 
 def test_masters_camera_starts_at_the_best_view_of_the_visibility_map():

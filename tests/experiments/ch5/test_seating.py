@@ -9,7 +9,6 @@ import pytest
 from experiments.ch5.contact.seating_trial import (
     MOST_FORCE,
     RINGS,
-    SNAP,
     WAYS,
     WIDEST,
     BySpiral,
@@ -37,7 +36,7 @@ def test_by_force_the_card_snaps_in_and_is_seated_where_straight_ahead_it_is_not
     results = {way: run_seating(dataclasses.replace(JOB, ring=3, way=way)) for way in WAYS}
     guided = results["guided"]
     assert guided.success and not results["straight"].success
-    assert guided.snap == pytest.approx(SNAP, rel=0.3)
+    assert guided.snap == pytest.approx(CARD_GUIDE.snap, rel=0.3)
     assert guided.depth == pytest.approx(CARD_GUIDE.depth, abs=1e-3)
     assert guided.peak < MOST_FORCE < results["straight"].peak
     assert math.isnan(results["straight"].snap)

@@ -18,7 +18,7 @@ from controllers.mapping.localization import (
 from controllers.mission.radio import MissionRadio
 from controllers.mission.robot_mission import RobotMission
 from controllers.mission.stages.insert import GuideInsertion, InsertCard
-from experiments.ch5.insertion_scene import insertion_drawing
+from experiments.ch5.insertion_scene import in_slot, insertion_drawing, is_seated
 from experiments.mission.scene import MASTER, SLAVE, roles
 from experiments.mission.trial import Mission, MissionTrial, prepared, upright
 from tests.experiments.mission.test_mission import near_scene
@@ -104,11 +104,9 @@ def inserted(seed: int) -> bool:
         )
         assert mission.insertion is not None
         poses = mission.poses(SLAVE)
-        place = (poses["slot"].inv() * poses["card"]).translation
-        inserter = mission.insertion.inserter
-        seated = place[1] >= inserter.config.guide.depth - 2e-3 and abs(place[2]) < 0.01
+        seated = is_seated(in_slot(poses["slot"].inv() * poses["card"]), trial.width)
         assert not mission.team.notices
-        return inserter.stage is InsertionStage.DONE and bool(seated)
+        return mission.insertion.inserter.stage is InsertionStage.DONE and seated
 
 
 @pytest.mark.slow

@@ -35,7 +35,8 @@ def result(**changes):
         "failed_stage": "", "reason": "", "stages": ends, "seconds": 120.0, "wall_over_sim": 0.4,
         "beliefs": (good,), "place_error": 0.02, "place_turn": 0.02,
         "misses": np.array([[0.05, 0.1]]), "detected": True, "seated": True, "peak": 0.5,
-        "across": 1e-4, "ahead": 0.04, "driven": (3.0, 4.0), "paths": (), "collisions": (),
+        "touch": 1.0, "snap": 3.0, "card": np.array([1e-4, 0.04, 0.0, 0.0, 0.0, 0.0]),
+        "driven": (3.0, 4.0), "paths": (), "collisions": (),
         "fallen": (), "tracks": {}, "radio_bytes": {}, "map_bytes": 0, "notices": (),
         "identifications": (),
     }  # fmt: skip

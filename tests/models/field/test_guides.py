@@ -6,7 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.card_and_slot.guides import compile_guides_bench
+from models.card_and_slot.guides import compile_guides_bench, width_of
+from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import CARD_AND_SLOT, CARD_GUIDE
 
 MEDIUM = CARD_GUIDE.clearances[1]
@@ -53,7 +54,7 @@ def test_the_card_snaps_in_at_the_force_of_the_springs_and_their_slopes(friction
 
 
 def test_the_snap_as_drawn_is_3_newtons():
-    assert snap_force(CARD_AND_SLOT.friction) == pytest.approx(3.0, abs=0.02)
+    assert snap_force(CARD_AND_SLOT.friction) == pytest.approx(CARD_GUIDE.snap, abs=0.02)
 
 
 @pytest.mark.parametrize("clearance", CARD_GUIDE.clearances)
@@ -96,6 +97,18 @@ def test_the_gripper_gives_way_in_roll_and_along_the_normal_by_its_springs():
     mujoco.mj_step(model, data, nstep=3000)
     assert data.joint("card_normal").qpos[0] == pytest.approx(1.5 / CARD_GUIDE.normal_stiffness)
     assert data.joint("card_roll").qpos[0] == pytest.approx(0.03 / CARD_GUIDE.roll_stiffness)
+
+
+@pytest.mark.parametrize("name", ["card_slip", "card_normal", "card_roll"])
+def test_a_rover_s_gripper_gives_way_as_that_of_the_bench(name):
+    """An arm's body has defaults for the joints of its children."""
+    bench = compile_guides_bench(MEDIUM)
+    field = FieldConfig(texture_pixels=16, slot_width=width_of(MEDIUM), card_guides=True)
+    rover = make_model(field, [RobotPlacement("rover2", (0.0, -1.5), card=True)])
+    one, other = bench.joint(name), rover.joint(f"rover2/{name}")
+    for what in ("stiffness", "damping", "armature", "frictionloss", "range", "axis", "solimp"):
+        np.testing.assert_array_equal(getattr(one, what), getattr(other, what))
+    np.testing.assert_array_equal(bench.body("card").mass, rover.body("rover2/card").mass)
 
 
 @pytest.mark.parametrize(("push", "slips"), [(0.9, False), (1.1, True)])
