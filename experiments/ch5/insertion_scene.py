@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from controllers.insertion.camera_station import CameraStation, best_camera_station
 from controllers.insertion.drawing import Connector, InsertionDrawing
 from models.card_and_slot.build import PAINT
-from models.card_and_slot.stand import CARD_AXES, CARD_FORCE, SLOT_HEIGHT, TIP
+from models.card_and_slot.stand import CARD_AXES, CARD_FORCE, CARD_TOUCH, SLOT_HEIGHT, TIP
 from models.compose import (
     ARM_JOINTS,
     FieldConfig,
@@ -43,8 +43,8 @@ FIELD = FieldConfig(
 SEATED = (1e-3, 1e-3, *np.radians([1.0, 2.5, 1.0]))
 """What a seated card may be off ahead and beside [m], in turn, yaw and roll [rad]; across it is the
 clearance and 0.2 mm."""
-TOUCH = 0.5
-"""Contact force by which a card has touched the slot [N]."""
+TOUCH = 0.2
+"""Force at one contact by which a card has touched the slot [N]."""
 _CONNECTOR = CARD_GUIDE.depth - 6e-3
 """Depth up to which a contact is one with the guides, before the connector [m]."""
 
@@ -182,7 +182,8 @@ class CardForces:
 
     Attributes:
         peak: Largest of all [N].
-        touch: Largest while force guides the card, and it is before the connector [N].
+        touch: Largest at one contact, while force guides the card and it is before the connector:
+            there opposite lips may press on it at once [N].
     """
 
     def __init__(self) -> None:
@@ -195,10 +196,9 @@ class CardForces:
             data: State of the scene.
             guided: Whether force guides the card.
         """
-        force = float(np.linalg.norm(contact_force(data)))
-        self.peak = max(self.peak, force)
+        self.peak = max(self.peak, float(np.linalg.norm(contact_force(data))))
         if guided and card_in_slot(data)[1] < _CONNECTOR:
-            self.touch = max(self.touch, force)
+            self.touch = max(self.touch, float(np.linalg.norm(data.sensor(CARD_TOUCH).data)))
 
 
 def is_seated(card: FloatArray, width: float) -> bool:

@@ -59,7 +59,7 @@ class InsertionOutcome:
         seconds: Robot time [s].
         wall: Wall time of the loop [s].
         peak: Largest true contact force [N].
-        touch: The same, as far as the card is before the connector and force guides it [N].
+        touch: Largest at one contact, while force guides the card before the connector [N].
         snap: Force at which the card snapped in, as felt [N]; NaN if it did not.
         hand_over: (6,) true error of the card when force takes over, see `card_in_slot`; NaN if
             it never did.

@@ -219,7 +219,7 @@ class MissionResult:
         seated: Whether the slave reports success and the card is truly seated, see `is_seated`.
         peak: Largest true contact force on the card during the insertion [N]; NaN where it is not
             known.
-        touch: The same, as far as the card is before the connector and force guides it [N].
+        touch: Largest at one contact, while force guides the card before the connector [N].
         snap: Force at which the card snapped in, as felt [N]; NaN if it did not.
         card: (6,) pose of the card in the slot at the end: across, ahead, beside [m]; turn, yaw,
             roll [rad]; NaN where it is not known.

@@ -23,11 +23,13 @@ CARD_AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 """Columns are the card's axes in the wrist's frame, and the slot's in the world: across is down,
 ahead is forward, the normal is to the right."""
 CARD_FORCE = "truth_card_force"
-"""Sensor of the force by the card on what touches it, world frame, for scoring alone."""
+"""Sensor of the force by the card on all that touches it, world frame, for scoring alone."""
+CARD_TOUCH = "truth_card_touch"
+"""Sensor of the largest force at one contact of the card, that contact's frame, for scoring."""
 OVERVIEW, SITE_VIEW = "overview", "site_view"
 """Cameras for pictures: both rovers at the slot, and the site with the panel."""
 _POST = 0.012  # Half width of the post [m].
-_NET_FORCE = 3  # MuJoCo's number of the sum over all contacts.
+_LARGEST_FORCE, _NET_FORCE = 2, 3  # MuJoCo's numbers of how contacts are reduced to one.
 
 
 def hold_card(scene: mujoco.MjSpec, robot: str, gives: bool = False) -> None:
@@ -43,13 +45,14 @@ def hold_card(scene: mujoco.MjSpec, robot: str, gives: bool = False) -> None:
     card.quat = _quaternion(CARD_AXES)
     if gives:
         give_way(card, f"{robot}/")
-    scene.add_sensor(
-        name=CARD_FORCE,
-        type=mujoco.mjtSensor.mjSENS_CONTACT,
-        objtype=mujoco.mjtObj.mjOBJ_BODY,
-        objname=f"{robot}/card",
-        intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), _NET_FORCE, 1],
-    )
+    for name, reduced in ((CARD_FORCE, _NET_FORCE), (CARD_TOUCH, _LARGEST_FORCE)):
+        scene.add_sensor(
+            name=name,
+            type=mujoco.mjtSensor.mjSENS_CONTACT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            objname=f"{robot}/card",
+            intprm=[1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), reduced, 1],
+        )
 
 
 def stand_slot(scene: mujoco.MjSpec, width: float, ground: float, guides: bool = False) -> None:
