@@ -29,6 +29,7 @@ class Change:
         payload: Mass of a box on the rear deck [kg].
         payload_place: Centre of the box in the rover's frame, rightward and forward [m].
         springs: Stiffness of the wheels' springs over that when it was made.
+        left_springs: Stiffness of those of the left wheels over that as well.
         worn_wheel: Name of a wheel with another tyre friction, such as ``rear_left``; empty for
             none.
         grip: That wheel's friction over that when it was made.
@@ -37,6 +38,7 @@ class Change:
     payload: float = 0.0
     payload_place: tuple[float, float] = (0.0, -0.11)
     springs: float = 1.0
+    left_springs: float = 1.0
     worn_wheel: str = ""
     grip: float = 1.0
 
@@ -46,7 +48,7 @@ class Change:
         Raises:
             ValueError: Naming the field.
         """
-        check_numbers("change", self, "springs", "grip")
+        check_numbers("change", self, "springs", "left_springs", "grip")
         check_numbers("change", self, "payload", zero=True)
 
 
@@ -121,7 +123,8 @@ def _change(rover: mujoco.MjSpec, change: Change, wheels: Sequence[mujoco.MjsBod
         ValueError: If it has no such wheel.
     """
     for wheel in wheels:
-        wheel.joints[0].stiffness[0] *= change.springs
+        left = change.left_springs if wheel.pos[0] < 0.0 else 1.0
+        wheel.joints[0].stiffness[0] *= change.springs * left
     if change.worn_wheel:
         names = [wheel.name.removesuffix("_wheel") for wheel in wheels]
         if change.worn_wheel not in names:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from controllers.insertion.card_arm import CardArm, inverse, pitch_of, planar, to_plane
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase
-from controllers.insertion.seating import SeatingConfig, SeatingGuide
+from controllers.insertion.seating import SeatingConfig, SeatingGuide, StraightSeating
 from controllers.insertion.slot_belief import BeliefConfig, SlotBelief
 from controllers.motion.base_motion import level_of
 from controllers.motion.base_tilt import BaseTilt
@@ -48,6 +48,7 @@ class CardInserterConfig:
     Attributes:
         guide: Configuration of the force-guided insertion.
         seating: What the connector behind card guides asks for; None for a slot of plain walls.
+        forced: Whether force guides the card into its connector; else it goes straight ahead.
         belief: Configuration of the slot's pose estimate.
         reach: Distance of the card's edge ahead of the robot in the arm's easy range [m].
         stand_off: Card's distance before the mouth when vision hands over to force [m].
@@ -80,6 +81,7 @@ class CardInserterConfig:
 
     guide: GuideConfig
     seating: SeatingConfig | None = None
+    forced: bool = True
     belief: BeliefConfig = dataclasses.field(default_factory=BeliefConfig)
     reach: float = 0.47
     stand_off: float = 0.015
@@ -375,7 +377,8 @@ class CardInserter:
         if config.seating is None:
             self.guide = InsertionGuide(config.guide, start[:3])
         else:
-            self.guide = SeatingGuide(config.guide, start[:3], config.seating, start[3])
+            kind = SeatingGuide if config.forced else StraightSeating
+            self.guide = kind(config.guide, start[:3], config.seating, start[3])
         self._enter(InsertionStage.INSERT)
 
     def _slot_now(self) -> FloatArray:
@@ -388,7 +391,7 @@ class CardInserter:
     def _insert(self, angles: FloatArray) -> Command:
         guide, slot = self.guide, self._slot_now()
         assert guide is not None
-        if isinstance(guide, SeatingGuide):
+        if isinstance(guide, SeatingGuide | StraightSeating):
             pose, beside = guide.step(self.contact), guide.beside
         else:
             pose, beside = guide.step(self.contact[[0, 1, 5]]), 0.0

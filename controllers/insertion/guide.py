@@ -301,7 +301,12 @@ class StraightInsertion(InsertionGuide):
         elif self.command[1] >= config.depth + config.push / config.stiffness:
             self.phase = Phase.DONE
         else:
-            self.command[:2] += turn(self.command[2]) @ [0.0, config.speed * config.period]
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Move the command straight ahead."""
+        config = self.config
+        self.command[:2] += turn(self.command[2]) @ [0.0, config.speed * config.period]
 
 
 def beyond(value: float, deadband: float) -> float:

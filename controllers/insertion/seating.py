@@ -11,7 +11,13 @@ import math
 
 import numpy as np
 
-from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, beyond
+from controllers.insertion.guide import (
+    GuideConfig,
+    InsertionGuide,
+    Phase,
+    StraightInsertion,
+    beyond,
+)
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 
@@ -87,7 +93,8 @@ class SeatingGuide(InsertionGuide):
 
     def _choose(self) -> None:
         """Choose the phase of this step; before the connector it is its own."""
-        near = float(self.believed()[1]) > self.seating.bottom - _NEAR
+        # Once there it stays: on soft springs the push would seem to bend the hand out again.
+        near = self.phase is Phase.SEAT or self.believed()[1] > self.seating.bottom - _NEAR
         if self.phase is Phase.RETREAT or not near:
             self._peak = 0.0
             super()._choose()
@@ -134,3 +141,36 @@ class SeatingGuide(InsertionGuide):
     def _advance_speed(self) -> float:
         """Return the speed ahead: before the connector it does not fall with the push."""
         return self.seating.speed if self.phase is Phase.SEAT else super()._advance_speed()
+
+
+class StraightSeating(StraightInsertion):
+    """Straight ahead until a force; the card counts as seated if it is commanded to the bottom.
+
+    `step` takes all six of the wrench, as that of `SeatingGuide`.
+
+    Args:
+        config: Speed and period.
+        start: (3,) initial commanded pose, in front of the slot [m, m, rad].
+        seating: Bottom and largest push.
+        beside: Commanded position along the normal [m].
+
+    Attributes:
+        beside: Commanded position along the normal [m].
+    """
+
+    def __init__(
+        self, config: GuideConfig, start: FloatArray, seating: SeatingConfig, beside: float = 0.0
+    ) -> None:
+        super().__init__(config, start)
+        self.beside, self._seating = beside, seating
+        self._zero = np.zeros(6)
+
+    def _advance(self, wrench: FloatArray | None) -> None:
+        if wrench is None:
+            self._fail("no wrench")
+        elif np.linalg.norm(wrench[:3]) <= self._seating.push:
+            self._go_on()
+        elif self.command[1] >= self._seating.bottom:
+            self.phase = Phase.DONE
+        else:
+            self._fail("force")

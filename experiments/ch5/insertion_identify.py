@@ -1,16 +1,23 @@
-"""Drive on flat ground by which the slip of a rover of ``ch5-insertion`` is measured."""
+"""What a rover of ``ch5-insertion`` identifies beforehand on flat ground: its slip and springs."""
 
 import dataclasses
 import functools
+from collections.abc import Mapping
 
+import numpy as np
+
+from controllers.identification.pitch_swing import PitchSwing
+from controllers.motion.base_tilt import TiltAxis, roll_axis
 from controllers.motion.driving import SkidSteer, TurnShareDrive
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from twin.describe import describe_rover
 from twin.loop import run
+from twin.realism import Realism, sensor_suites
+from twin.robot import Command, Observation
 from twin.simulation import Simulation
 
-DRIVE = 6.0
-"""Length of the drive [s]."""
+DRIVE, SWING = 6.0, 60.0
+"""Length of the drive, and longest identification of the springs [s]."""
 
 
 @functools.cache
@@ -28,3 +35,42 @@ def identify_slip(robot: RobotPlacement, seed: int) -> float:
     run(simulation.robots, [drive], simulation, duration=DRIVE)
     simulation.close()
     return drive.finish()
+
+
+class _Swinging:
+    """A `twin.robot.Controller` that identifies one robot's springs."""
+
+    def __init__(self, swing: PitchSwing, robot: str) -> None:
+        self._swing, self._robot = swing, robot
+
+    def reset(self) -> None:
+        """Do nothing."""
+
+    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
+        """Swing the arm."""
+        return {self._robot: self._swing.step(observations[self._robot])}
+
+
+def identify_springs(
+    robot: RobotPlacement, realism: Realism, seed: int
+) -> tuple[TiltAxis, TiltAxis] | None:
+    """Return pitch and roll dynamics as a robot identifies them; None where it doubts them.
+
+    Args:
+        robot: Robot, as drawn or as made, with its card; its place does not count.
+        realism: How far its sensors are from their makers' statements.
+        seed: Seed of the sensors' errors and noise, and of the excitation.
+    """
+    bare = dataclasses.replace(robot, position=(0.0, 0.0), yaw=0.0, stereo=False)
+    model = make_model(FieldConfig(texture_pixels=16), [bare])
+    drawn = describe_rover(robot.name, card=robot.card)
+    suite = sensor_suites(realism.suite, realism.sensor_errors, [drawn], seed)
+    simulation = Simulation(model, [drawn], suite=suite, seed=seed, data=settle(model))
+    swing = PitchSwing(drawn, np.random.default_rng(seed))
+    controller = _Swinging(swing, robot.name)
+    run(simulation.robots, [controller], simulation, duration=SWING, until=lambda: swing.done)
+    simulation.close()
+    if swing.estimate is None or swing.doubts:
+        return None
+    pitch = TiltAxis.of(swing.estimate)
+    return pitch, roll_axis(pitch, drawn)

@@ -7,6 +7,7 @@ slave's arm, in which it can move the card across, ahead and in pitch (thesis as
 
 import dataclasses
 import functools
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -27,7 +28,6 @@ from models.datasheets import CARD_AND_SLOT, CARD_GUIDE
 from perception.geometry.arrays import FloatArray
 from perception.markers.poses import BodyCad
 from twin.describe import body_pose, describe_rover
-from twin.realism import RealismName, make_robots
 
 MASTER, SLAVE = "rover1", "rover2"
 FIELD = FieldConfig(
@@ -124,21 +124,18 @@ def place_insertion(scene: InsertionScene) -> tuple[FieldConfig, tuple[RobotPlac
     return field, (master, slave)
 
 
-def compile_insertion(
-    scene: InsertionScene, realism: RealismName = "ideal", seed: int = 0
-) -> mujoco.MjModel:
+def compile_insertion(scene: InsertionScene, made: Sequence[RobotPlacement] = ()) -> mujoco.MjModel:
     """Compile a scene.
 
     Args:
         scene: Poses of the robots, slot and ground.
-        realism: How far the robots are from their drawings.
-        seed: Random seed of the robots as made.
+        made: Robots of `place_insertion` as made; none for those as drawn.
 
     Raises:
         ValueError: If the slot's width or a start is impossible.
     """
     field, robots = place_insertion(scene)
-    return make_model(field, make_robots(robots, realism, seed))
+    return make_model(field, made or robots)
 
 
 def begin_with_camera_at(model: mujoco.MjModel, angles: FloatArray) -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
+from typing import TypeVar
 
 import mujoco
 import numpy as np
@@ -24,10 +25,11 @@ from controllers.insertion.team import (
     seating_config,
     surrogate_sensing,
 )
-from controllers.motion.base_tilt import drawn_springs
+from controllers.mission.belief import TurnShare, drawn_turn_share
+from controllers.motion.base_tilt import BaseTilt, drawn_springs
 from controllers.motion.driving import SkidSteer
 from experiments.ch5.insertion_faults import Fault, FaultInjector
-from experiments.ch5.insertion_identify import identify_slip
+from experiments.ch5.insertion_identify import identify_slip, identify_springs
 from experiments.ch5.insertion_scene import (
     FIELD,
     MASTER,
@@ -41,18 +43,29 @@ from experiments.ch5.insertion_scene import (
     transform_between,
 )
 from models import datasheets
-from models.compose import settle
+from models.as_made import Change
+from models.compose import RobotPlacement, settle
+from models.datasheets import SensorErrorSheet
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import transport_covariance
 from twin.camera import StereoConfig
 from twin.describe import describe_rover
 from twin.hardware.emulator.modem import virtual_links
 from twin.link import Link
-from twin.realism import RealismName, as_stated, make_robots, realism_of, sensor_suites
+from twin.optics.realism import CameraRealism
+from twin.realism import (
+    Realism,
+    RealismName,
+    as_stated,
+    make_robots,
+    realism_of,
+    sensor_suites,
+)
 from twin.robot import Robot
 from twin.robot_clock import give_clocks
 from twin.simulation import Simulation
 
+Sheet = TypeVar("Sheet", SensorErrorSheet, CameraRealism)
 RATE = 4.0
 """Pairs of images a second (thesis: 3 to 4)."""
 NOISE_DB = datasheets.CAMERA.signal_to_noise_db
@@ -79,6 +92,21 @@ class Arrival:
     share: float
 
 
+OMITTABLE = ("identification", "placement", "replanning", "force")
+"""What an ablation takes away: the slave's springs and slip as identified (those of the drawing
+stay), the master's best camera station, the camera's moves after its first view, or force
+guidance (the card goes straight ahead)."""
+_HEAD_ERRORS = (
+    "focal_error",
+    "principal_error",
+    "head_turn",
+    "head_shift",
+    "eye_turn",
+    "eye_shift",
+)
+_SENSOR_ERRORS = tuple(
+    field.name for field in dataclasses.fields(SensorErrorSheet) if field.name != "wrench_warm_up"
+)
 MAPPED = (4.5e-3, 1.7e-3)
 """Error of the map. `ch3-stereo` measured 95th percentiles of 4.8 mm
 (`camera_error_mm/information/corrected`) and 12.6 mrad (`frame_turn_mrad`), which are 2.8
@@ -105,6 +133,58 @@ right. Medians of `last_stop_miss_mm` 28 and `last_stop_miss_deg` 1.4, `slot_err
 
 
 @dataclasses.dataclass(frozen=True)
+class Hardship:
+    """What makes an insertion harder than the default field and robots.
+
+    Attributes:
+        springs: Stiffness of the slave's springs over that when it was made.
+        left_springs: Stiffness of those on its left over that as well.
+        load: Mass on the slave's rear deck [kg].
+        relief: Standard deviation of the ground's height [m].
+        slope: Angle by which the ground rises beside the slave, to its right [rad].
+        errors: Errors of both robots' sensors over those of the realism.
+        head_errors: Errors of the heads' calibration over those of the realism.
+        delay: Time that a pair of images is under way, beyond that of the realism [s].
+        loss: Share of the radio's messages that are lost, if more than by the realism.
+    """
+
+    springs: float = 1.0
+    left_springs: float = 1.0
+    load: float = 0.0
+    relief: float = FIELD.relief
+    slope: float = 0.0
+    errors: float = 1.0
+    head_errors: float = 1.0
+    delay: float = 0.0
+    loss: float = 0.0
+
+    @property
+    def change(self) -> Change:
+        """What happened to the slave."""
+        return Change(self.load, springs=self.springs, left_springs=self.left_springs)
+
+    def realism(self, named: RealismName) -> Realism:
+        """Return a set of realism with these errors, delay and losses.
+
+        Args:
+            named: Name of the set.
+        """
+        chosen = realism_of(named)
+        cameras = scaled(chosen.cameras, self.head_errors, *_HEAD_ERRORS)
+        cameras = dataclasses.replace(cameras, latency=cameras.latency + self.delay)
+        lost = max(chosen.modems.packet_loss, self.loss)
+        errors = chosen.sensor_errors
+        if errors is not None:
+            errors = scaled(errors, self.errors, *_SENSOR_ERRORS)
+        return dataclasses.replace(
+            chosen,
+            sensor_errors=errors,
+            cameras=cameras,
+            modems=dataclasses.replace(chosen.modems, packet_loss=lost),
+        )
+
+
+@dataclasses.dataclass(frozen=True)
 class InsertionTrial:
     """Settings of one trial.
 
@@ -118,6 +198,8 @@ class InsertionTrial:
         fault: Name of the `Fault` that happens; empty for none.
         trace: Whether the result holds the course.
         guides: Whether the slot is of card guides with a connector.
+        hardship: What makes it harder.
+        without: What is left out, one of `OMITTABLE`; empty for nothing.
     """
 
     width: float
@@ -129,6 +211,8 @@ class InsertionTrial:
     fault: str = ""
     trace: bool = False
     guides: bool = False
+    hardship: Hardship = Hardship()
+    without: str = ""
 
 
 @dataclasses.dataclass
@@ -161,27 +245,34 @@ def prepare(trial: InsertionTrial) -> Setting:
     # The simulation draws its noise from children of the seed itself.
     streams = np.random.default_rng((trial.seed, 1)).spawn(4)
     scene_rng, view_rng, prior_rng, radio_rng = streams
-    realism = realism_of(trial.realism)
+    hardship, realism = trial.hardship, trial.hardship.realism(trial.realism)
     master = as_stated(describe_rover(MASTER), realism)
     slave = describe_rover(SLAVE, card=True)
     drawing = insertion_drawing(trial.width, trial.guides)
-    if trial.optimal:
+    if trial.optimal and trial.without != "placement":
         station = best_station(trial.width)
     else:
         station = random_camera_station(master, drawing, view_rng)
-    field = dataclasses.replace(FIELD, seed=int(scene_rng.integers(2**31)), texture_pixels=512)
+    field = dataclasses.replace(
+        FIELD,
+        seed=int(scene_rng.integers(2**31)),
+        texture_pixels=512,
+        relief=hardship.relief,
+        slope=(hardship.slope, 0.0),
+    )
     arrival = AS_MAPPED if trial.realism == "ideal" else AS_IN_MISSION
     beside, ahead, yaw = arrival.slave + arrival.spread @ scene_rng.uniform(-1.0, 1.0, 3)
     # The master came by dead reckoning, and knows where it is by the map.
     away = np.array([arrival.station[0], *arrival.station]) * scene_rng.normal(size=3)
     x, y, heading = np.array(station.place) + away
     scene = InsertionScene(trial.width, (beside, -ahead, yaw), (x, y, heading), field, trial.guides)
-    model = compile_insertion(scene, trial.realism, trial.seed)
+    made = _robots_as_made(scene, trial)
+    model = compile_insertion(scene, made)
     # Where the card is the master is told by the slave, as well as that knows where it stands.
     slot_error, card_error, slave_error = prior_rng.normal(size=(3, 6))
     known_to_master, known_to_slave = arrival.slot
 
-    def guide_from(data: mujoco.MjData, angles: FloatArray) -> MarkerGuide:
+    def guide_from(data: mujoco.MjData, angles: FloatArray, moves: bool) -> MarkerGuide:
         card = transform_between(data, f"{SLAVE}/card", f"{MASTER}/chassis")
         return marker_guide(
             master,
@@ -189,17 +280,17 @@ def prepare(trial: InsertionTrial) -> Setting:
             _mapped_slot(data, MASTER, known_to_master, slot_error),
             _mapped(card, known_to_slave, card_error)[0],
             angles,
-            trial.optimal,
+            moves,
             trial.detector,
         )
 
     # The camera is placed by the map before the task begins. On rough ground another posture of the
     # arm may let a robot slide by centimetres: the map is of the place where it comes to rest.
     begin_with_camera_at(model, station.angles)
-    angles = guide_from(settle(model), station.angles).begin()
+    angles = guide_from(settle(model), station.angles, trial.optimal).begin()
     begin_with_camera_at(model, angles)
     begun = settle(model)
-    guide = guide_from(begun, angles)
+    guide = guide_from(begun, angles, trial.optimal and trial.without != "replanning")
     drawn = [master, slave]
     simulation = Simulation(
         model,
@@ -209,12 +300,23 @@ def prepare(trial: InsertionTrial) -> Setting:
         seed=trial.seed,
         data=begun,
     )
-    springs = drawn_springs(slave)
+    springs, arm = drawn_springs(slave), CardArm(slave, drawing.tip)
+    turns = drawn_turn_share(slave)
+    if trial.without != "identification":
+        share = identify_slip(made[1], trial.seed) + arrival.share * float(prior_rng.normal())
+        turns = TurnShare(share, arrival.share)
+        if trial.guides:
+            springs = identify_springs(made[1], realism, trial.seed) or springs
     inserter = CardInserter(
-        CardInserterConfig(guide_config(drawing, springs[0]), seating_config(drawing)),
-        CardArm(slave, drawing.tip),
-        SkidSteer.of(slave, _turn_share(trial, scene, arrival, prior_rng), arrival.share),
+        CardInserterConfig(
+            guide_config(drawing, springs[0]),
+            seating_config(drawing),
+            forced=trial.without != "force",
+        ),
+        arm,
+        SkidSteer.of(slave, turns.share, turns.deviation),
         *_mapped_slot(begun, SLAVE, known_to_slave, slave_error),
+        BaseTilt(*springs, arm.mount) if trial.guides else None,
     )
     sensing = surrogate_sensing(slave, drawing.tip, springs)
     links: dict[str, Link] = dict(
@@ -233,12 +335,19 @@ def prepare(trial: InsertionTrial) -> Setting:
     return Setting(trial, scene, simulation, robots, team, station)
 
 
-def _turn_share(
-    trial: InsertionTrial, scene: InsertionScene, arrival: Arrival, rng: np.random.Generator
-) -> float:
-    """Return the slave's turn share as identified: that of the robot as made, with an error."""
-    _, slave = make_robots(place_insertion(scene)[1], trial.realism, trial.seed)
-    return identify_slip(slave, trial.seed) + arrival.share * float(rng.normal())
+def scaled(sheet: Sheet, factor: float, *names: str) -> Sheet:
+    """Return a sheet with some of its numbers, by name, times a factor."""
+    return dataclasses.replace(sheet, **{name: factor * getattr(sheet, name) for name in names})
+
+
+def _robots_as_made(scene: InsertionScene, trial: InsertionTrial) -> tuple[RobotPlacement, ...]:
+    """Return both robots as made, the slave changed by the trial's hardship."""
+    master, slave = make_robots(place_insertion(scene)[1], trial.realism, trial.seed)
+    if slave.made is None:
+        return master, slave
+    return master, dataclasses.replace(
+        slave, made=dataclasses.replace(slave.made, change=trial.hardship.change)
+    )
 
 
 def _mapped_slot(

@@ -281,6 +281,15 @@ def test_change_of_springs_and_of_a_tyre_leaves_all_else():
         np.testing.assert_array_equal(getattr(after, name), getattr(before, name), name)
 
 
+def test_softer_springs_on_the_left_leave_those_on_the_right():
+    made = AsMade(4, change=Change(left_springs=0.3))
+    before, after = rover(dataclasses.replace(made, change=Change())), rover(made)
+    for joint in suspensions(before):
+        share = 0.3 if "left" in joint.name else 1.0
+        stiffness = before.jnt_stiffness[joint.id]
+        assert after.jnt_stiffness[joint.id] == pytest.approx(share * stiffness)
+
+
 @pytest.mark.parametrize(
     ("fields", "words"),
     [

@@ -2,51 +2,35 @@
 
 import numpy as np
 
-from controllers.identification.rover_identifier import (
-    RoverIdentifier,
-    RoverIdentifierConfig,
-    SwingingArm,
-)
+from controllers.identification.pitch_swing import PitchSwing
 from controllers.mission.belief import MissionBelief
 from twin.robot import Command, Observation
 
 
 class SwingArm:
-    """Swings the arm, and fits all measurements again at the end; if it fails, swings gently.
+    """Swings the arm until the pitch dynamics are identified, or cannot be.
 
     Args:
         belief: Estimates of the robot; updated with its pitch dynamics if they can be believed.
         rng: Random generator for the planner of the excitation.
-
-    Attributes:
-        done: Whether an identification succeeded, or the last has failed.
     """
 
     name = "identify"
 
     def __init__(self, belief: MissionBelief, rng: np.random.Generator) -> None:
-        self.done = False
-        self._belief = belief
-        config = RoverIdentifierConfig(belief.robot.name, SwingingArm.of(belief.robot))
-        self._identifier = RoverIdentifier(config, rng)
+        self._belief, self._swing = belief, PitchSwing(belief.robot, rng)
+
+    @property
+    def done(self) -> bool:
+        """Whether an identification succeeded, or the last has failed."""
+        return self._swing.done
 
     def step(self, seen: Observation) -> Command:
-        """Return the command of the swing; at its end hold the arm and fit, a step each tick."""
-        self._belief.navigator.observe(seen)
-        name = self._belief.robot.name
-        if not self._identifier.done:
-            return self._identifier.step({name: seen})[name]
-        command = self._identifier.hold()[name]
-        if not self.done and self._identifier.conclude():
-            self._judge()
+        """Return the next command."""
+        belief, swing = self._belief, self._swing
+        belief.navigator.observe(seen)
+        command = swing.step(seen)
+        belief.identification, belief.doubts = swing.estimate, swing.doubts
+        if swing.done and not swing.doubts:
+            belief.pitch = swing.estimate
         return command
-
-    def _judge(self) -> None:
-        belief = self._belief
-        belief.identification = estimate = self._identifier.fit.estimate
-        belief.doubts = estimate.doubts(self._identifier.config.prior)
-        if belief.doubts and self._identifier.repeat():
-            return
-        self.done = True
-        if not belief.doubts:
-            belief.pitch = estimate

@@ -23,7 +23,7 @@ from controllers.mission.belief import MissionBelief, tilt_of
 from controllers.mission.radio import MissionRadio, RadioPort, SlotPose
 from controllers.mission.stage import StageError
 from controllers.motion.arm_move import ArmMove
-from controllers.motion.base_tilt import BaseTilt, drawn_springs
+from controllers.motion.base_tilt import BaseTilt
 from twin.robot import Command, Observation
 
 _GUIDED = (InsertionStage.WAIT, InsertionStage.APPROACH, InsertionStage.ALIGN)
@@ -120,9 +120,7 @@ class InsertCard:
         robot, drawing = belief.robot, belief.site.insertion
         arm, springs = CardArm(robot, drawing.tip), belief.springs()
         inserter = CardInserter(
-            CardInserterConfig(
-                guide_config(drawing, drawn_springs(robot)[0]), seating_config(drawing)
-            ),
+            CardInserterConfig(guide_config(drawing, springs[0]), seating_config(drawing)),
             arm,
             belief.navigator.steer(),
             *belief.slot_in_level(),

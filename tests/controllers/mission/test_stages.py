@@ -7,6 +7,7 @@ import typing
 import numpy as np
 import pytest
 
+from controllers.identification import pitch_swing
 from controllers.identification.pitch import PitchPrior
 from controllers.identification.rover_identifier import RoverIdentifierConfig
 from controllers.insertion.camera_station import camera_arm
@@ -19,7 +20,6 @@ from controllers.mapping.localization import tilt_to_level
 from controllers.mission.belief import MissionBelief
 from controllers.mission.radio import PATIENCE, SILENT, MissionRadio, SlotPose, Status
 from controllers.mission.stage import StageError
-from controllers.mission.stages import identify
 from controllers.mission.stages.identify import SwingArm
 from controllers.mission.stages.insert import GuideInsertion, InsertCard
 from controllers.motion.base_tilt import drawn_springs
@@ -257,7 +257,7 @@ def identify_with(
         made.append(FakeIdentifier(config, doubts))
         return made[-1]
 
-    monkeypatch.setattr(identify, "RoverIdentifier", make)
+    monkeypatch.setattr(pitch_swing, "RoverIdentifier", make)
     belief = belief_of(SLAVE)
     stage, ticks = SwingArm(belief, np.random.default_rng(0)), 0
     while not stage.done:
