@@ -121,6 +121,12 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.mission.mission",
     ),
     Experiment(
+        name="mission-envelope",
+        summary="what each kind of knowledge is worth to an insertion, and where nothing",
+        thesis="the thesis' claim: what knowledge of oneself and one's surroundings brings",
+        module="experiments.envelope.envelope",
+    ),
+    Experiment(
         name="appa-control",
         summary="the arm's control laws on soft, middle and stiff bases that are pushed",
         thesis="figure A-1, equations A-1 to A-4",

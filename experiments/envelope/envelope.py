@@ -1,0 +1,139 @@
+"""``mission-envelope``: what knowledge is worth to an insertion, where it becomes harder.
+
+Rovers as made, left where missions had left them, insert a card into guides: whole, and without one
+kind of knowledge. A screening with few seeds chooses, by a rule written down beforehand, the cells
+that other seeds confirm. Axes, rule and measures: ``docs/mission.md``.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+
+from experiments.ch5.insertion_trial import InsertionOutcome, run_trial
+from experiments.envelope.cells import AXES, Cell, cells_of, chosen
+from experiments.envelope.figures import draw_envelope
+from experiments.harness import contract
+from experiments.harness.contract import OptionError
+from experiments.harness.intervals import Distribution, holm, mcnemar, success_fraction
+from experiments.harness.output import Output
+from experiments.harness.sweep import sweep
+
+SCREENED, CONFIRMED = 10, 30
+"""Seeds of the screening and of the cells that are confirmed."""
+SIGNIFICANT = 0.01
+"""Bar of McNemar's p."""
+_CONFIRMING = 1_000_003  # Added to the root of the seeds that confirm.
+Results = dict[Cell, list[InsertionOutcome]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.Options):
+    """Options of mission-envelope.
+
+    Attributes:
+        axes: Axes to run (unless said, all).
+    """
+
+    axes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse unknown axes.
+
+        Raises:
+            OptionError: Naming it and the known ones.
+        """
+        super().__post_init__()
+        if unknown := set(self.axes) - set(AXES):
+            raise OptionError(f"--axes {min(unknown)}: expected some of {', '.join(AXES)}")
+
+    @property
+    def chosen_axes(self) -> tuple[str, ...]:
+        """Names of the axes to run."""
+        return self.axes or (("clearance",) if self.quick else tuple(AXES))
+
+
+def run(options: Options, output: Output) -> None:
+    """Screen all cells, and confirm those that the rule chooses.
+
+    Args:
+        options: ``quick`` takes one seed of the narrowest clearance with and without force
+            guidance, or so of the axes that are given, and confirms nothing; ``seeds`` are those
+            that confirm.
+        output: Receives ``success/<axis>/<level>/<whole or without_what>`` and
+            ``mcnemar_p/<axis>/<level>/<what>`` of the confirmed cells, the latter as it is and
+            corrected for their number, ``holm_p/<axis>/<level>/<what>``; a table and a figure.
+    """
+    cells, few = list(cells_of(options.chosen_axes)), SCREENED
+    if options.quick:
+        cells, few = [cell for cell in cells if cell.is_hardest], 1
+    screening = _run_all(cells, options, output, few, 0)
+    confirmed = screening if options.quick else _confirm(screening, options, output)
+    _measure(confirmed, output)
+    _tabulate(screening, confirmed, output)
+    output.figure("envelope", draw_envelope(_shares(screening), _shares(confirmed)))
+
+
+def _confirm(screening: Results, options: Options, output: Output) -> Results:
+    """Run the cells that the rule chooses with other seeds."""
+    shares = {cell: float(_share(results)["mean"]) for cell, results in screening.items()}
+    cells = chosen(shares)
+    levels = dict.fromkeys(cell.whole for cell in cells)
+    return _run_all([*levels, *cells], options, output, CONFIRMED, _CONFIRMING)
+
+
+def _run_all(
+    cells: Sequence[Cell], options: Options, output: Output, count: int, beyond: int
+) -> Results:
+    """Run cells, each with the same seeds."""
+    asked = options if beyond else dataclasses.replace(options, seeds=count)
+    asked = dataclasses.replace(asked, seed=options.seed + beyond)
+    seeds = asked.job_seeds(count, 1)
+    jobs = [cell.trial(seed) for cell in cells for seed in seeds]
+    label = "confirmed" if beyond else "screened"
+    results = sweep(run_trial, jobs, options, output, label=label)
+    return {cell: results[at * len(seeds) : (at + 1) * len(seeds)] for at, cell in enumerate(cells)}
+
+
+def _measure(confirmed: Results, output: Output) -> None:
+    tests: dict[str, float] = {}
+    for cell, results in confirmed.items():
+        key = f"{cell.axis}/{cell.level:g}"
+        output.measure(f"success/{key}/{cell.name}", _share(results))
+        if cell.without:
+            pairs = (_flags(each) for each in (confirmed[cell.whole], results))
+            tests[f"{key}/{cell.without}"] = mcnemar(*pairs)
+    for key, p in tests.items():
+        output.measure(f"mcnemar_p/{key}", p)
+    for key, p in holm(tests).items():
+        output.measure(f"holm_p/{key}", p)
+    for what in dict.fromkeys(cell.without for cell in confirmed if cell.without):
+        least = min(p for key, p in tests.items() if key.endswith(f"/{what}"))
+        bar = f"< {SIGNIFICANT:g}"
+        output.check(f"least p of cells without {what}", least, bar, least < SIGNIFICANT)
+
+
+def _tabulate(screening: Results, confirmed: Results, output: Output) -> None:
+    columns = ["axis", "level", "cell", "screened", "confirmed", "low", "high", "seeds",
+               "reasons"]  # fmt: skip
+    rows = []
+    for cell, results in screening.items():
+        more = confirmed.get(cell, [])
+        share = _share(more) if more else None
+        reasons = ", ".join(sorted({r.reason for r in [*results, *more] if r.reason}))
+        rows.append(
+            [cell.axis, cell.level, cell.name, _share(results)["mean"],
+             *(("", "", "", "") if share is None else
+               (share["mean"], share["low"], share["high"], share["n"])), reasons]
+        )  # fmt: skip
+    output.table("envelope", columns, rows)
+
+
+def _shares(results: Results) -> Mapping[Cell, Distribution]:
+    return {cell: _share(each) for cell, each in results.items()}
+
+
+def _share(results: Sequence[InsertionOutcome]) -> Distribution:
+    return success_fraction(_flags(results))
+
+
+def _flags(results: Sequence[InsertionOutcome]) -> list[bool]:
+    return [result.success for result in results]
