@@ -418,3 +418,40 @@ class RoverIdentifier:
 
     def _command(self, angles: FloatArray, rates: FloatArray) -> Mapping[str, Command]:
         return {self.config.robot: Command(arm=angles, arm_mode=ArmMode.POSITION, arm_rates=rates)}
+
+
+class PitchSwing:
+    """Identifies a rover's pitch dynamics; what is doubted is done again, gently.
+
+    A `twin.robot.Controller` of one robot.
+
+    Args:
+        robot: The robot as drawn.
+        rng: Random generator for the planner of the excitation.
+
+    Attributes:
+        done: Whether an identification succeeded, or the last has failed.
+        estimate: Latest estimate of the pitch dynamics; None before the first.
+        doubts: Why it is not to be used; none if it is.
+    """
+
+    def __init__(self, robot: RobotDescription, rng: np.random.Generator) -> None:
+        self.done = False
+        self.estimate: PitchEstimate | None = None
+        self.doubts: tuple[str, ...] = ()
+        config = RoverIdentifierConfig(robot.name, SwingingArm.of(robot))
+        self._identifier = RoverIdentifier(config, rng)
+
+    def reset(self) -> None:
+        """Do nothing: each identification has a new one."""
+
+    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
+        """Return the command of the swing; at its end hold the arm and fit, a step each tick."""
+        if not self._identifier.done:
+            return self._identifier.step(observations)
+        command = self._identifier.hold()
+        if not self.done and self._identifier.conclude():
+            self.estimate = self._identifier.fit.estimate
+            self.doubts = self.estimate.doubts(self._identifier.config.prior)
+            self.done = not (self.doubts and self._identifier.repeat())
+        return command

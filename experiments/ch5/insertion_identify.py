@@ -2,18 +2,16 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping
 
 import numpy as np
 
-from controllers.identification.pitch_swing import PitchSwing
+from controllers.identification.rover_identifier import PitchSwing
 from controllers.motion.base_tilt import TiltAxis, roll_axis
 from controllers.motion.driving import SkidSteer, TurnShareDrive
 from models.compose import FieldConfig, RobotPlacement, make_model, settle
 from twin.describe import describe_rover
 from twin.loop import run
 from twin.realism import Realism, sensor_suites
-from twin.robot import Command, Observation
 from twin.simulation import Simulation
 
 DRIVE, SWING = 6.0, 60.0
@@ -37,20 +35,6 @@ def identify_slip(robot: RobotPlacement, seed: int) -> float:
     return drive.finish()
 
 
-class _Swinging:
-    """A `twin.robot.Controller` that identifies one robot's springs."""
-
-    def __init__(self, swing: PitchSwing, robot: str) -> None:
-        self._swing, self._robot = swing, robot
-
-    def reset(self) -> None:
-        """Do nothing."""
-
-    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Swing the arm."""
-        return {self._robot: self._swing.step(observations[self._robot])}
-
-
 def identify_springs(
     robot: RobotPlacement, realism: Realism, seed: int
 ) -> tuple[TiltAxis, TiltAxis] | None:
@@ -67,8 +51,7 @@ def identify_springs(
     suite = sensor_suites(realism.suite, realism.sensor_errors, [drawn], seed)
     simulation = Simulation(model, [drawn], suite=suite, seed=seed, data=settle(model))
     swing = PitchSwing(drawn, np.random.default_rng(seed))
-    controller = _Swinging(swing, robot.name)
-    run(simulation.robots, [controller], simulation, duration=SWING, until=lambda: swing.done)
+    run(simulation.robots, [swing], simulation, duration=SWING, until=lambda: swing.done)
     simulation.close()
     if swing.estimate is None or swing.doubts:
         return None

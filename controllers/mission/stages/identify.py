@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from controllers.identification.pitch_swing import PitchSwing
+from controllers.identification.rover_identifier import PitchSwing
 from controllers.mission.belief import MissionBelief
 from twin.robot import Command, Observation
 
@@ -29,7 +29,8 @@ class SwingArm:
         """Return the next command."""
         belief, swing = self._belief, self._swing
         belief.navigator.observe(seen)
-        command = swing.step(seen)
+        name = belief.robot.name
+        command = swing.step({name: seen})[name]
         belief.identification, belief.doubts = swing.estimate, swing.doubts
         if swing.done and not swing.doubts:
             belief.pitch = swing.estimate

@@ -7,7 +7,7 @@ import typing
 import numpy as np
 import pytest
 
-from controllers.identification import pitch_swing
+from controllers.identification import rover_identifier
 from controllers.identification.pitch import PitchPrior
 from controllers.identification.rover_identifier import RoverIdentifierConfig
 from controllers.insertion.camera_station import camera_arm
@@ -257,7 +257,7 @@ def identify_with(
         made.append(FakeIdentifier(config, doubts))
         return made[-1]
 
-    monkeypatch.setattr(pitch_swing, "RoverIdentifier", make)
+    monkeypatch.setattr(rover_identifier, "RoverIdentifier", make)
     belief = belief_of(SLAVE)
     stage, ticks = SwingArm(belief, np.random.default_rng(0)), 0
     while not stage.done:
