@@ -136,6 +136,8 @@ right. Medians of `last_stop_miss_mm` 28 and `last_stop_miss_deg` 1.4, `slot_err
 class Hardship:
     """What makes an insertion harder than the default field and robots.
 
+    Springs and load change robots as made alone: those of `ideal` stay as drawn.
+
     Attributes:
         springs: Stiffness of the slave's springs over that when it was made.
         left_springs: Stiffness of those on its left over that as well.

@@ -62,10 +62,11 @@ def run(options: Options, output: Output) -> None:
             ``mcnemar_p/<axis>/<level>/<what>`` of the confirmed cells, the latter as it is and
             corrected for their number, ``holm_p/<axis>/<level>/<what>``; a table and a figure.
     """
-    cells, few = list(cells_of(options.chosen_axes)), SCREENED
+    cells = list(cells_of(options.chosen_axes))
     if options.quick:
-        cells, few = [cell for cell in cells if cell.is_hardest], 1
-    screening = _run_all(cells, options, output, few, 0)
+        cells = [cell for cell in cells if cell.is_hardest]
+    seeds = dataclasses.replace(options, seeds=None).job_seeds(SCREENED, 1)
+    screening = _run_all(cells, seeds, "screened", options, output)
     confirmed = screening if options.quick else _confirm(screening, options, output)
     _measure(confirmed, output)
     _tabulate(screening, confirmed, output)
@@ -77,18 +78,16 @@ def _confirm(screening: Results, options: Options, output: Output) -> Results:
     shares = {cell: float(_share(results)["mean"]) for cell, results in screening.items()}
     cells = chosen(shares)
     levels = dict.fromkeys(cell.whole for cell in cells)
-    return _run_all([*levels, *cells], options, output, CONFIRMED, _CONFIRMING)
+    others = dataclasses.replace(options, seed=options.seed + _CONFIRMING)
+    seeds = others.job_seeds(CONFIRMED, 1)
+    return _run_all([*levels, *cells], seeds, "confirmed", options, output)
 
 
 def _run_all(
-    cells: Sequence[Cell], options: Options, output: Output, count: int, beyond: int
+    cells: Sequence[Cell], seeds: Sequence[int], label: str, options: Options, output: Output
 ) -> Results:
     """Run cells, each with the same seeds."""
-    asked = options if beyond else dataclasses.replace(options, seeds=count)
-    asked = dataclasses.replace(asked, seed=options.seed + beyond)
-    seeds = asked.job_seeds(count, 1)
     jobs = [cell.trial(seed) for cell in cells for seed in seeds]
-    label = "confirmed" if beyond else "screened"
     results = sweep(run_trial, jobs, options, output, label=label)
     return {cell: results[at * len(seeds) : (at + 1) * len(seeds)] for at, cell in enumerate(cells)}
 

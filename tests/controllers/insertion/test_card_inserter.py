@@ -98,6 +98,19 @@ def test_a_card_that_comes_askew_before_guides_is_brought_anew(seats):
     assert (min(places) < -0.7) == seats
 
 
+@pytest.mark.parametrize("forced", [True, False])
+def test_a_card_goes_into_guides_by_force_or_straight_ahead(forced):
+    slave = Slave((0.01, -0.64, 0.0))
+    inserter = slave.inserter(seating=SeatingConfig(0.04, 3.0), forced=forced)
+    slave.run(inserter, 40.0, until=lambda: inserter.stage is InsertionStage.INSERT)
+    slave.push[0] = 1.0  # across
+    before = slave.error()
+    slave.run(inserter, 1.0, looks=False)
+    moved = slave.error() - before
+    assert moved[1] > 3e-3
+    assert (moved[0] > 5e-4) == forced
+
+
 @functools.cache
 def before_the_slot():
     """Return a slave that begins to insert, and its controller."""

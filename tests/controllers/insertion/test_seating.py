@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from controllers.insertion.guide import GuideConfig, Phase
-from controllers.insertion.seating import SeatingConfig, SeatingGuide
+from controllers.insertion.seating import SeatingConfig, SeatingGuide, StraightSeating
 
 CONFIG = GuideConfig(0.10795, 0.3, 1981.25)
 BOTTOM = SeatingConfig(bottom=0.04, snap=3.0)
@@ -105,6 +105,17 @@ def test_a_tare_is_taken_of_all_six():
         guide.step(zero)
     assert guide.beside == 0.0 and guide.command[0] == 0.0
     assert guide.command[1] > START[1]
+
+
+@pytest.mark.parametrize(("stop", "phase"), [(0.04, Phase.DONE), (0.034, Phase.FAILED)])
+def test_straight_ahead_a_card_counts_as_seated_that_is_commanded_to_the_bottom(stop, phase):
+    guide, connector = StraightSeating(CONFIG, START, BOTTOM, beside=1e-3), Connector(bottom=stop)
+    while not guide.over:
+        wrench = connector.wrench(guide.command)
+        guide.step(wrench)
+    assert guide.phase is phase and guide.beside == 1e-3
+    assert -wrench[1] == pytest.approx(BOTTOM.push, abs=0.3)
+    assert guide.command[0] == guide.command[2] == 0.0
 
 
 def test_settings_out_of_range_are_refused():

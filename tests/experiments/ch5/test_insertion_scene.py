@@ -29,6 +29,7 @@ from experiments.ch5.insertion_scene import (
     compile_insertion,
     contact_force,
     insertion_drawing,
+    is_seated,
     transform,
 )
 from models.card_and_slot.stand import CARD_AXES, SLOT_HEIGHT, TIP
@@ -93,6 +94,23 @@ def test_true_pose_of_a_card_in_the_slot(placed):
     np.testing.assert_allclose(pose[:3], [SLOT_HEIGHT - tip[2], tip[1], tip[0]], atol=1e-9)
     # Across is down: the slave's yaw to the left is a turn against it.
     assert pose[4] == pytest.approx(-START[2], abs=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("index", "off", "seated"),
+    [
+        (0, 0.95e-3, True), (0, -1.05e-3, False),
+        (1, -0.9e-3, True), (1, -1.1e-3, False),
+        (2, 0.9e-3, True), (2, 1.1e-3, False),
+        (3, 0.017, True), (3, 0.018, False),
+        (4, -0.043, True), (4, -0.044, False),
+        (5, 0.017, True), (5, -0.018, False),
+    ],
+)  # fmt: skip
+def test_a_seated_card_lacks_neither_depth_nor_offset_nor_angle(index, off, seated):
+    card = np.array([0.0, 0.04, 0.0, 0.0, 0.0, 0.0])
+    card[index] += off
+    assert is_seated(card, CARD_AND_SLOT.card_width + 1.6e-3) == seated
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,12 @@ def test_a_mission_arrives_only_with_consistent_beliefs_and_both_rovers_at_their
     assert failed.arrived and not failed.success
 
 
+def test_a_seated_card_is_no_success_where_harm_was_done():
+    assert result(peak=29.0).success
+    assert not result(peak=31.0).success
+    assert not result(fallen=("rover1",)).success
+
+
 def test_a_seated_card_is_no_success_where_a_stage_believed_wrong():
     assert result().success
     wrong = BeliefResult("search", "rover2", 90.0, 0.1, 0.1, GATE + 1.0)
