@@ -58,7 +58,10 @@ class CardInserterConfig:
         card_speed: Speed at which the arm moves the card [m/s].
         card_turn: Turning rate at which the arm pitches the card [rad/s].
         near: Distance of the robot to its goal at which the wheels stop [m].
-        look_ahead: Distance over which the robot steers onto the slot's line [m].
+        look_ahead: Distance over which the robot steers onto the slot's line [m]: on rough ground
+            it turns by some 1 rad/m otherwise than its wheels ask for, which puts it that times
+            the distance's square beside the line.
+        aslant: Largest angle to that line at which it does [rad].
         aligned: Errors across and ahead [m] and turn [rad] within which the card is aligned.
         looks: Number of views in a row that have to show it aligned.
         crooked: Angle out of the slot's plane beyond which a card does not go into guides [rad]: it
@@ -91,12 +94,13 @@ class CardInserterConfig:
     card_speed: float = 0.03
     card_turn: float = 0.15
     near: float = 0.006
-    look_ahead: float = 0.12
+    look_ahead: float = 0.06
+    aslant: float = 0.25
     aligned: tuple[float, float] = (7e-4, math.radians(0.5))
     looks: int = 3
     crooked: float = math.radians(1.5)
     room: float = 0.25
-    backings: int = 2
+    backings: int = 3
     patience: float = 12.0
     stale: float = 1.0
     known: float = 4e-3
@@ -330,10 +334,12 @@ class CardInserter:
         beside -= self._aside
         speed = min(max(config.slowing * gap, -config.speed), config.speed)
         # Backwards a robot that has turned to the line moves away from it.
-        aside = math.copysign(beside, beside * speed)
-        curve = 2.0 * heading / config.look_ahead + aside / config.look_ahead**2
-        turn = min(max(curve * abs(speed), -config.turn), config.turn)
-        return self._steer.wheel_speeds(speed, turn)
+        aside = math.copysign(beside, beside * speed) / (2.0 * config.look_ahead)
+        towards = min(max(aside, -config.aslant), config.aslant)
+        curve = 2.0 * (heading + towards) / config.look_ahead
+        # On the spot it would turn about its front axle, and slide aside.
+        most = config.turn / config.speed
+        return self._steer.wheel_speeds(speed, min(max(curve, -most), most) * abs(speed))
 
     def _bring(self, slot: FloatArray, pose: FloatArray) -> FloatArray:
         """Move the commanded joints a step towards a pose (3,) of the card; return their rates."""

@@ -21,6 +21,7 @@ from controllers.insertion.guide import (
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 
+_BEARING = 1.5  # Rise of the force over that which shows the bottom at which the push stays.
 _NEAR = 0.006  # Distance before the bottom from which on a push is that of the connector [m].
 
 
@@ -108,8 +109,12 @@ class SeatingGuide(InsertionGuide):
             self._draw_back("force")
         elif snapped:
             rise, moment = push - self._least, abs(self._wrench[2] - self._moment)
-            if rise > seating.bottom_force and moment < seating.square * rise:
+            if rise <= seating.bottom_force:
+                self._since = self._time
+            elif moment < seating.square * rise:
                 self.phase = Phase.DONE
+            elif self._time - self._since > self.config.jam_time:
+                self._draw_back("jam")
         else:
             self._peak = max(self._peak, self._load)
             if self._peak > 0.5 * seating.snap and push < (1.0 - seating.fall) * self._peak:
@@ -139,8 +144,16 @@ class SeatingGuide(InsertionGuide):
         return self._turn_by(float(self._wrench[2]) - self._moment)
 
     def _advance_speed(self) -> float:
-        """Return the speed ahead: before the connector it does not fall with the push."""
-        return self.seating.speed if self.phase is Phase.SEAT else super()._advance_speed()
+        """Return the speed ahead: up to the snap it does not fall with the push.
+
+        Behind it does, so that a crooked card has time to turn onto the bottom.
+        """
+        if self.phase is not Phase.SEAT:
+            return super()._advance_speed()
+        if math.isnan(self.snap_force):
+            return self.seating.speed
+        share = (-float(self._wrench[1]) - self._least) / (_BEARING * self.seating.bottom_force)
+        return self.seating.speed * max(1.0 - share, 0.0)
 
 
 class StraightSeating(StraightInsertion):

@@ -170,10 +170,10 @@ def test_slave_moves_slowly_until_card_and_slot_were_seen_together():
     assert speeds[True][0] > speeds[False][0] / share * 0.9
 
 
-def approach(start):
+def approach(start, **changes):
     """Return where a slave is in each tick of its approach (N, 3), the commands, the controller."""
     slave = Slave(start)
-    inserter = slave.inserter()
+    inserter = slave.inserter(**changes)
     places = []
 
     def note():
@@ -188,7 +188,8 @@ def approach(start):
 
 @pytest.mark.parametrize("start", [(0.05, -1.1, 0.0), (-0.03, -1.0, 0.15), (0.0, -1.0, -0.2)])
 def test_the_robot_steers_onto_the_slots_line_without_overshoot_and_slows_before_its_place(start):
-    places, commands, _, inserter = approach(start)
+    # So far ahead that it never turns as fast as it may.
+    places, commands, _, inserter = approach(start, look_ahead=0.12)
     config = inserter.config
     # Steered by 2 / L of the heading and 1 / L^2 of what it is beside: critically damped.
     gone = np.concatenate(
@@ -202,6 +203,17 @@ def test_the_robot_steers_onto_the_slots_line_without_overshoot_and_slows_before
     wanted = np.clip(config.slowing * gaps, -config.speed, config.speed)
     np.testing.assert_allclose(forward[1:-1], wanted[1:-1], atol=3e-3)
     assert forward.max() == pytest.approx(config.speed) and forward[-2] < 0.2 * config.speed
+
+
+def test_a_robot_far_beside_the_slots_line_drives_onto_it_at_an_angle_and_never_turns_on_the_spot():
+    """Beside by more than its look-ahead it would drive across, and the master lose its card."""
+    places, commands, _, inserter = approach((0.09, -1.1, 0.0))
+    config = inserter.config
+    assert 0.8 * config.aslant < np.abs(places[:, 2]).max() < 1.05 * config.aslant
+    assert abs(places[-1, 0]) < 4e-3
+    motions = np.array([inserter._steer.motion(command.wheels) for command in commands])
+    curves = np.abs(motions[:, 1]) - config.turn / config.speed * np.abs(motions[:, 0])
+    assert curves.max() < 1e-9
 
 
 def test_the_card_stays_where_the_arm_is_at_ease_until_the_robot_is_there():
