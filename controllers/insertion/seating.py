@@ -22,6 +22,7 @@ from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 
 _BEARING = 1.5  # Rise of the force over that which shows the bottom at which the push stays.
+_SLIPPERY = 1e-3  # Double the friction below which edges that jam do so without a sign [-].
 _NEAR = 0.006  # Distance before the bottom from which on a push is that of the connector [m].
 
 
@@ -142,6 +143,18 @@ class SeatingGuide(InsertionGuide):
         if math.isnan(self.snap_force):
             return super()._turn_away()
         return self._turn_by(float(self._wrench[2]) - self._moment)
+
+    def _turn_by(self, moment: float) -> float:
+        """Return the turning rate that yields to a moment, as far as forces explain it.
+
+        A sensor half a metre behind the card errs by a tenth of a newton metre as the arm reaches
+        out. Two edges that jam press with opposite forces, which friction along them betrays.
+        """
+        config, depth = self.config, max(float(self.believed()[1]), 0.0)
+        lever = config.card_width / 2.0 + depth / max(2.0 * config.friction, _SLIPPERY)
+        load = math.hypot(self._wrench[0], self._wrench[1])
+        most = lever * max(load - config.deadband, 0.0)
+        return super()._turn_by(min(max(moment, -most), most))
 
     def _advance_speed(self) -> float:
         """Return the speed ahead: up to the snap it does not fall with the push.

@@ -552,6 +552,15 @@ class Navigator:
             return False  # Where wheels do not turn it, the ground is steep and smooth.
         return bool(self.blocked) and self._turns <= _TURNS
 
+    def forget(self) -> None:
+        """Forget the map, of a rover that it encloses: it came here, so something is not there.
+
+        What was mapped before its estimate drifted stands as cliffs about what it maps now. For a
+        rover that the panel has not localized: the map of the site is in the panel's frame.
+        """
+        self.ground = ElevationMap(self.ground.grid)
+        self._looks[...] = 0
+
     def back_off(self, held: bool) -> None:
         """Begin to drive back, or else forward, to where there is more room.
 

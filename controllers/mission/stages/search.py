@@ -113,6 +113,8 @@ class SearchPanel(DrivingPart):
             if view.rate < _LEAST and retreats < _MOST_RETREATS:
                 retreats += 1
                 navigator.hindered = True
+                if len(places) == 1:
+                    navigator.forget()
                 seen = yield from look_round(seen, navigator)
                 seen = yield from retreat(seen, navigator, held=False)
                 continue

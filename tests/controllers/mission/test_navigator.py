@@ -163,6 +163,17 @@ def test_a_place_on_an_obstacle_has_no_path_and_one_behind_it_a_longer_one():
     assert len(high) and np.abs(high[:, :2] - [0.0, 1.0]).max() < 0.12
 
 
+def test_a_rover_that_its_map_encloses_forgets_it_and_has_a_path_again():
+    navigator, place = Rolling().navigator, np.array([0.0, 1.5])
+    put_box(navigator, 0.0, 0.0, half=2.0, height=0.3)
+    put_box_on(navigator, 0.0, 0.0, half=0.4, height=0.0)  # It stands in a pit that is not there.
+    assert navigator.path_to(place) is None
+    navigator.back_off(held=False)
+    assert navigator.arrived
+    navigator.forget()
+    assert navigator.path_to(place) is not None and not navigator.ground.known.any()
+
+
 def test_what_held_a_rover_is_rather_gone_around_after_it_backed_off():
     rover = Rolling()
     put_box(rover.navigator, 5.0, 5.0)
