@@ -109,7 +109,7 @@ class CardInserterConfig:
     following: float = 0.3
     settle: float = 0.5
     force_limit: float = 9.0
-    timeout: float = 120.0
+    timeout: float = 180.0
     period: float = 0.01
 
 

@@ -25,7 +25,7 @@ from experiments.ch5.insertion_setting import InsertionTrial, Setting, prepare
 from perception.geometry.arrays import FloatArray
 from twin.loop import LoopRecorder, Tick, run
 
-LIMIT = 130.0
+LIMIT = 190.0
 """Longest trial [s]: the slave gives up before."""
 _TICKS = 100  # Servo ticks for which the truth is kept: longer than any pair is under way.
 STAGES = tuple(InsertionStage)
