@@ -49,6 +49,7 @@ class CardInserterConfig:
         guide: Configuration of the force-guided insertion.
         seating: What the connector behind card guides asks for; None for a slot of plain walls.
         forced: Whether force guides the card into its connector; else it goes straight ahead.
+        watched: Whether a master sees card and slot; else the slave goes by its map alone.
         belief: Configuration of the slot's pose estimate.
         reach: Distance of the card's edge ahead of the robot in the arm's easy range [m].
         stand_off: Card's distance before the mouth when vision hands over to force [m].
@@ -85,6 +86,7 @@ class CardInserterConfig:
     guide: GuideConfig
     seating: SeatingConfig | None = None
     forced: bool = True
+    watched: bool = True
     belief: BeliefConfig = dataclasses.field(default_factory=BeliefConfig)
     reach: float = 0.47
     stand_off: float = 0.015
@@ -195,7 +197,7 @@ class CardInserter:
         if not self.over and self._load > config.force_limit:
             return self._fail("force", angles)
         if self.stage is InsertionStage.WAIT:
-            if self._last_view > -math.inf:
+            if self._last_view > -math.inf or not self.config.watched:
                 self._enter(InsertionStage.APPROACH)
             elif self._time > config.first:
                 return self._fail("target not seen", angles)
@@ -244,7 +246,7 @@ class CardInserter:
         self.belief.note(seen.time, card, driven, turn, self.config.period, slip)
 
     def _listen(self, views: Sequence[Guidance]) -> None:
-        for view in views:
+        for view in views if self.config.watched else ():
             if view.card_seen or view.slot_seen:
                 self._last_view = self._time
             self._both_seen |= view.card_seen and view.slot_seen
@@ -281,7 +283,7 @@ class CardInserter:
     def _go(self, angles: FloatArray) -> Command:
         """Move the card to its stand-off before the slot, by wheels and arm."""
         config = self.config
-        age = self._time - self._last_view
+        age = self._time - self._last_view if config.watched else 0.0
         if age > config.lost:
             return self._fail("target not seen", angles)
         if age > config.stale and self.belief.deviation() > config.known:
@@ -300,7 +302,8 @@ class CardInserter:
         if self.stage is InsertionStage.ALIGN:
             waited = self._time - self._since
             tared = len(self._tare) * config.period >= config.settle - 1e-9
-            if tared and (self._good >= config.looks or waited > config.patience):
+            ready = self._good >= config.looks or waited > config.patience or not config.watched
+            if tared and ready:
                 yaw = float(to_plane(inverse(slot) @ self._arm.card_frame(angles))[4])
                 if self._is_crooked(yaw):
                     self._back_off(slot, yaw)
@@ -326,7 +329,8 @@ class CardInserter:
     @property
     def _pace(self) -> float:
         """Share of the speeds now."""
-        return 1.0 if self._both_seen else self.config.following
+        followed = self._both_seen or not self.config.watched
+        return 1.0 if followed else self.config.following
 
     def _steer_to(self, slot: FloatArray, gap: float) -> FloatArray:
         """Return wheel speeds onto the slot's line, slower when near; backwards for less than 0."""

@@ -81,7 +81,12 @@ class MissionBelief:
             SkidSteer.of(robot, share.share, share.deviation), slide=drawn_slide(robot)
         )
         navigator = Navigator(
-            robot, panel, steer, blind=without == "paths", guarded=without != "guard"
+            robot,
+            panel,
+            steer,
+            blind=without == "paths",
+            guarded=without != "guard",
+            once=without == "panel",
         )
         return cls(robot, site, panel, navigator)
 

@@ -136,6 +136,7 @@ class Navigator:
         config: How far it maps and how often it looks; None for the default.
         blind: Whether paths are planned as if nothing stood on the ground.
         guarded: Whether the tilt slows drives and moves of the arm before they would tip the rover.
+        once: Whether the panel localizes the rover once, and never again.
 
     Attributes:
         footing: Footing by which moves of the arm are slowed; None for a rover without the guard.
@@ -157,8 +158,9 @@ class Navigator:
         config: NavigatorConfig | None = None,
         blind: bool = False,
         guarded: bool = True,
+        once: bool = False,
     ) -> None:
-        self._robot, self._panel = robot, panel
+        self._robot, self._panel, self._once = robot, panel, once
         self._config, self._blind = config or NavigatorConfig(), blind
         self.footing = Footing.of(robot) if guarded else None
         self._driving = DrivePathConfig() if guarded else _UNGUARDED
@@ -256,7 +258,7 @@ class Navigator:
         fitted = aligned(self.ground, places[outside], camera.translation, covariance)
         spread = (turn @ points.covariances[kept] @ turn.T)[outside]
         self.ground.insert(fitted.points, spread, fitted.covariance)
-        if self.localized and not at_rest:
+        if self.localized and (self._once or not at_rest):
             return None
         angles = np.asarray(seen.arm_angles.value, dtype=float)
         tilt = np.asarray(seen.inclinometer.value, dtype=float)

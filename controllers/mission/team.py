@@ -22,9 +22,10 @@ from controllers.placement.task import PlacementError
 from twin.link import Link
 from twin.robot import Command, Observation
 
-OMITTABLE = ("paths", "occluders", "guard")
+OMITTABLE = ("paths", "occluders", "panel", "guard", "cooperation")
 """What an ablation takes away: points of the map that paths avoid, or those by which the camera
-station is chosen, or the guard against tipping over."""
+station is chosen; the panel, once it has localized a rover; the guard against tipping over; or what
+the master sees of card and slot (the slave goes by its own camera alone)."""
 STAGES = ("identify", "search", "map", "place", "approach", "insert")
 """Stages in their order; both rovers end each together."""
 _ROOMS = (0.12, 0.02, None)
@@ -86,7 +87,7 @@ class MissionTeam:
         card = arm.transform_card_to_robot(slave.home)
         guides = _master_stages(master, radios[0], config, guiding, card)
         self.master = RobotMission(master, radios[0], 1, guides)
-        held = _slave_stages(slave, radios[1], holding)
+        held = _slave_stages(slave, radios[1], config, holding)
         self.slave = RobotMission(slave, radios[1], 2, held)
 
     def reset(self) -> None:
@@ -144,7 +145,7 @@ def _master_stages(
 
 
 def _slave_stages(
-    belief: MissionBelief, radio: MissionRadio, rng: np.random.Generator
+    belief: MissionBelief, radio: MissionRadio, config: MissionConfig, rng: np.random.Generator
 ) -> Iterator[MissionStage]:
     """Yield the stages of the rover that holds the card."""
     yield SwingArm(belief, rng)
@@ -152,7 +153,7 @@ def _slave_stages(
     yield Wait(MapSite.name, belief)
     yield Wait("place", belief)
     yield GoToPlace("approach", belief, lambda: belief.site.card_place, _NEAR_SLOT)
-    yield InsertCard(belief, radio)
+    yield InsertCard(belief, radio, watched=config.without != "cooperation")
 
 
 def best_station(belief: MissionBelief, occluders: bool) -> CameraStation:

@@ -92,10 +92,10 @@ class Arrival:
     share: float
 
 
-OMITTABLE = ("identification", "placement", "replanning", "force")
+OMITTABLE = ("identification", "placement", "replanning", "force", "cooperation")
 """What an ablation takes away: the slave's springs and slip as identified (those of the drawing
-stay), the master's best camera station, the camera's moves after its first view, or force
-guidance (the card goes straight ahead)."""
+stay), the master's best camera station, the camera's moves after its first view, force guidance
+(the card goes straight ahead), or what the master sees (the slave goes by its own map alone)."""
 _HEAD_ERRORS = (
     "focal_error",
     "principal_error",
@@ -314,6 +314,7 @@ def prepare(trial: InsertionTrial) -> Setting:
             guide_config(drawing, springs[0]),
             seating_config(drawing),
             forced=trial.without != "force",
+            watched=trial.without != "cooperation",
         ),
         arm,
         SkidSteer.of(slave, turns.share, turns.deviation),

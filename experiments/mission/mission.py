@@ -63,7 +63,8 @@ class Options(contract.Options):
             boards' own protocols) or both robots' boards, serial:PORT,...,serial:PORT,...
         without: What further missions of the same seeds do without, one at a time: points of the
             map for paths (they are planned as if nothing stood on the ground), occluders (so is the
-            camera station chosen), or the guard against tipping over.
+            camera station chosen), the panel once it was found, the guard against tipping over, or
+            cooperation (what the master sees of card and slot).
         loss: Share of the radio's messages that are lost in further missions of the same seeds; 0
             for none.
         realism: How far simulated robots, their sensors and cameras are from their drawings: ideal,

@@ -109,6 +109,7 @@ class InsertCard:
     Args:
         belief: Estimates of the slave.
         radio: The slave's end of the radio.
+        watched: Whether it goes by what the master sees; else by its own map alone.
 
     Attributes:
         slave: The slave's part of the insertion.
@@ -116,11 +117,13 @@ class InsertCard:
 
     name = "insert"
 
-    def __init__(self, belief: MissionBelief, radio: MissionRadio) -> None:
+    def __init__(self, belief: MissionBelief, radio: MissionRadio, watched: bool = True) -> None:
         robot, drawing = belief.robot, belief.site.insertion
         arm, springs = CardArm(robot, drawing.tip), belief.springs()
         inserter = CardInserter(
-            CardInserterConfig(guide_config(drawing, springs[0]), seating_config(drawing)),
+            CardInserterConfig(
+                guide_config(drawing, springs[0]), seating_config(drawing), watched=watched
+            ),
             arm,
             belief.navigator.steer(),
             *belief.slot_in_level(),

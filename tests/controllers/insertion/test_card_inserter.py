@@ -111,6 +111,16 @@ def test_a_card_goes_into_guides_by_force_or_straight_ahead(forced):
     assert (moved[0] > 5e-4) == forced
 
 
+@pytest.mark.parametrize("looks", [True, False])
+def test_a_slave_that_takes_no_views_goes_by_its_map_alone_and_is_off_by_what_that_is(looks):
+    slave, aside = Slave((0.01, -0.64, 0.0)), 4e-3
+    inserter = slave.inserter([0.0, 0.0, 0.0, aside, 0.0, 0.0], watched=False)
+    slave.run(inserter, 20.0, until=lambda: inserter.stage is InsertionStage.INSERT, looks=looks)
+    assert inserter.stage is InsertionStage.INSERT
+    assert slave.error()[0] == pytest.approx(aside, abs=1.5e-3)
+    assert slave.error()[1] == pytest.approx(-inserter.config.stand_off, abs=2e-3)
+
+
 @functools.cache
 def before_the_slot():
     """Return a slave that begins to insert, and its controller."""

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from controllers.mission.belief import MissionBelief
 from controllers.mission.navigator import NavigatorConfig, _filled  # pyright: ignore
 from controllers.motion.driving import SkidSteer
+from models.datasheets import CAMERA
 from tests.controllers.mission.hand_made import POSES, SITE
 from tests.controllers.motion.seen import PAIR, seen_at
 from twin.describe import describe_rover
@@ -407,3 +408,21 @@ def test_a_rover_that_backs_off_again_from_the_same_place_goes_farther():
         back = RigidTransform.identity()  # It has slid to where it was.
         rover.navigator.odometry._pose = back  # pyright: ignore
         rover.navigator.odometry._at = rover.navigator.odometry._pasts[-1]  # pyright: ignore
+
+
+@pytest.mark.parametrize(("without", "again"), [("", True), ("panel", False)])
+def test_the_panel_localizes_a_rover_again_unless_that_is_left_out(monkeypatch, without, again):
+    rover, found = Rolling(without), object()
+    navigator = rover.navigator
+    monkeypatch.setattr(navigator._panel, "locate", lambda *_: found)  # pyright: ignore
+    monkeypatch.setattr(navigator._panel, "sight", lambda *_: None)  # pyright: ignore
+
+    def take():
+        seen = rover.tick()
+        grey = np.zeros((2, CAMERA.height, CAMERA.width), np.uint8)
+        return navigator.take(seen._replace(stereo=seen.stereo._replace(value=grey)), at_rest=True)
+
+    assert take() is found
+    navigator.localized = True
+    navigator._panel.transform_target_to_world = RigidTransform.identity()  # pyright: ignore
+    assert (take() is found) == again
