@@ -143,7 +143,7 @@ def describe(model: mujoco.MjModel, robot: str) -> RobotDescription:
 
 def body_pose(data: mujoco.MjData, body: int) -> RigidTransform:
     """Return the transform from a body to the world."""
-    rotation = Rotation.from_matrix(data.xmat[body].reshape(3, 3))
+    rotation = Rotation.from_quat(data.xquat[body], scalar_first=True)
     return RigidTransform.from_components(data.xpos[body], rotation)
 
 

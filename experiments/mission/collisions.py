@@ -177,8 +177,8 @@ def _kinds(model: mujoco.MjModel, names: Sequence[str]) -> IndexArray:
             kinds[geom] = _OBSTACLE
         elif body.endswith("/card"):
             kinds[geom] = _CARD
-        elif body == "slot":
-            kinds[geom] = _SLOT
+        elif body.startswith("slot") or name.startswith("bracket"):
+            kinds[geom] = _SLOT  # With the springs of its connector, and what holds it behind.
     return kinds
 
 

@@ -9,10 +9,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from experiments.ch5.insertion_scene import MASTER, SLAVE, card_in_slot
+from experiments.ch5.insertion_setting import InsertionTrial, prepare
 from experiments.mission.collisions import CollisionMonitor, TipOverMonitor
+from models.card_and_slot.guides import width_of
 from models.clutter import PanelConfig, ScreenConfig, Solids
 from models.compose import ROUGH, RobotPlacement, make_model, make_terrain, settle
-from models.datasheets import ARM, CARD_AND_SLOT, ROVER
+from models.datasheets import ARM, CARD_AND_SLOT, CARD_GUIDE, ROVER
 from tests.controllers.insertion.scenes import fresh
 from tests.models.scenes import PLAIN
 from twin.loop import Tick, run
@@ -190,6 +192,21 @@ def test_card_may_touch_the_slot_s_walls_and_the_hand_may_not(ahead, hits):
     hit = {(c.geom, c.touched) for c in monitor.collisions}
     assert any(geom.startswith(f"{SLAVE}/") for geom, _ in hit)
     assert not any("card_" in geom and touched.startswith("slot_") for geom, touched in hit)
+
+
+def test_a_card_may_touch_its_connector_and_what_holds_the_slot():
+    setting = prepare(InsertionTrial(width_of(CARD_GUIDE.clearances[2]), True, 1, guides=True))
+    simulation, ground = setting.simulation, make_terrain(setting.scene.field)
+    model, data = simulation.model, simulation.data
+    monitor = CollisionMonitor(simulation, ground)
+    pose = card_in_slot(data)
+    # Half a millimetre into the bottom.
+    data.joint(f"{SLAVE}/root_joint").qpos[:3] += [-pose[2], 0.0405 - pose[1], pose[0]]
+    at(simulation, monitor, 0.0)
+    touched = {model.geom(geom).name for geom in data.contact.geom.flat}
+    assert {"slot_spring_front", "slot_spring_back", "slot_bottom"} <= touched
+    assert not any("card_" in collision.geom for collision in monitor.collisions)
+    simulation.close()
 
 
 def test_tyres_on_rocks_are_told_apart_as_the_terrain_has_them():
