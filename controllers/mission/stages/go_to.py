@@ -44,6 +44,7 @@ _NEAR, _ALONG = 0.7, 0.9  # Distance [m] and heading [rad] from its place of a r
 _ANY_WAY = 0.8  # Tolerance of a heading from which on the rover arrives as its path leads it [rad].
 _NO_NEARER = 0.7  # Share of its distance that is left of a drive that something holds.
 _INNER = 0.2  # How far within its tolerance a heading is that the rover turns to [rad].
+_EVERY = 10.0  # Time from one look of a rover that waits to the next [s].
 _VIEWS = 8  # Views in which the panel is searched for at the place.
 
 
@@ -227,9 +228,12 @@ def _ahead(heading: float) -> FloatArray:
 class Wait:
     """A rover's part of a stage that the other rover does: it stands, its arm folded.
 
+    Now and then it looks whether it still stands as it did: on a slope a rover at rest creeps, and
+    turns by a degree in two minutes.
+
     Args:
         name: Name of the stage.
-        belief: Estimates of the rover.
+        belief: Estimates of the rover; its localization follows what the looks show.
 
     Attributes:
         done: Always true: the other rover's part ends the stage.
@@ -238,10 +242,24 @@ class Wait:
     done = True
 
     def __init__(self, name: str, belief: MissionBelief) -> None:
-        self.name, self._navigator = name, belief.navigator
-        self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
+        self.name, self._belief = name, belief
+        self._rest = ArmMove(DRIVING, footing=belief.navigator.footing)
+        self._due = -math.inf  # Time of the next look [s].
 
     def step(self, seen: Observation) -> Command:
         """Return the command of the arm."""
-        self._navigator.observe(seen)
-        return self._rest.command(seen)
+        self._belief.navigator.observe(seen)
+        command = self._rest.command(seen)
+        if self._rest.sees(seen) and seen.inclinometer.usable and seen.stereo.stamp > self._due:
+            self._due = seen.stereo.stamp + _EVERY
+            self._look(seen)
+        return command
+
+    def _look(self, seen: Observation) -> None:
+        """Move the estimate by a pair that was taken at rest."""
+        belief = self._belief
+        found = belief.navigator.take(seen, at_rest=True)
+        if found is not None:
+            belief.localize(found)
+        elif belief.localization is not None:
+            belief.stay()

@@ -4,12 +4,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from controllers.mission.behaviours import Driven
+from controllers.mission.behaviours import DRIVING, Driven
+from controllers.mission.belief import MissionBelief
 from controllers.mission.stage import StageError
 from controllers.mission.stages import go_to
-from controllers.mission.stages.go_to import GoToPlace
-from tests.controllers.mission.hand_made import SLAVE, at_once, belief_of
-from tests.controllers.motion.seen import seen_at
+from controllers.mission.stages.go_to import GoToPlace, Wait
+from tests.controllers.mission.hand_made import SITE, SLAVE, at_once, belief_of
+from tests.controllers.motion.seen import PAIR, seen_at
+from twin.describe import describe_rover
 
 
 class GoBy(GoToPlace):
@@ -184,3 +186,18 @@ def test_a_rover_that_has_docked_turns_until_its_head_sees_it_in_its_heading(
     stage = GoBy("approach", belief, lambda: (0.0, 0.3, 0.0), (0.1, 0.07))
     stage.step(seen_at(0.01))
     assert stage.done and headings == [0.0] * turns
+
+
+def test_a_rover_that_waits_looks_every_ten_seconds_whether_it_still_stands(monkeypatch):
+    belief = MissionBelief.initial(describe_rover(), SITE)
+    navigator, looks = belief.navigator, []
+    monkeypatch.setattr(navigator, "take", lambda seen, at_rest: looks.append(seen.time))
+    wait, time = Wait("place", belief), 0.0
+    navigator.observe(seen_at(0.0, np.zeros(4), DRIVING, PAIR, 0.0))
+    belief.localization = before = navigator.localization()
+    while time < 35.0:
+        time += 0.01
+        wait.step(seen_at(time, np.zeros(4), DRIVING, PAIR, time))
+    assert len(looks) == 4 and looks[0] < 2.0
+    np.testing.assert_allclose(np.diff(looks), 10.0, atol=0.03)
+    assert belief.localization is not before
