@@ -33,7 +33,10 @@ turns by other angles than its wheels tell."""
 _VIEWS, _TRIED = 10, 2  # Views that are kept, and of these the nearest that are tried.
 _OTHER_POSTURE = 0.02  # Change of a joint from which on its errors count [rad].
 _STANDING = 2e-5  # Motion of rolling wheels in a tick below which the rover stands [m, rad].
-_STILL = 1e-4  # Motion below which a rover has not moved since its last pair [m, rad].
+_STILL = 1e-3  # Motion below which a rover has not moved since its last pair [m, rad].
+_TREMBLE = 3e-4
+"""Turn of rolling wheels in a tick up to which it may be noise [rad]: tachometers of a rover at rest
+would add up to a turn of 0.4 rad in 100 s."""
 _ROLLED = 0.1  # Way of the wheels that tells of slip [m].
 _PIVOTED, _SPOT = 0.2, 0.12
 """Turn of rolling wheels on the spot that tells of slip [rad], and their way over that turn up to
@@ -312,7 +315,9 @@ class VisualOdometry:
         rise = -np.sum(flat * slopes)
         place = [c @ flat[:, 0] - s @ flat[:, 1], s @ flat[:, 0] + c @ flat[:, 1], rise]
         turn = Rotation.from_euler("z", turns.sum())
-        return RigidTransform.from_components(place, turn), float(np.abs(steps[:, 1]).sum())
+        turned = np.abs(steps[:, 1])
+        angle = float(turned[turned > _TREMBLE].sum())
+        return RigidTransform.from_components(place, turn), angle
 
     def _predicted(self, past: _Past) -> tuple[RigidTransform, FloatArray]:
         """Return the rover's pose at a tick by its wheels since the last pair, and covariance."""

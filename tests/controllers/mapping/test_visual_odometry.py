@@ -16,6 +16,7 @@ from perception.registration.checks import RegistrationError
 from perception.registration.motion import Motion
 from twin.describe import describe_rover
 from twin.robot import Channel, Observation, Validity
+from twin.sensors import DATASHEET
 
 ROBOT = describe_rover("rover1")
 ARM, _ = camera_arm(ROBOT)
@@ -282,3 +283,21 @@ def test_levelled_keeps_place_and_yaw():
     level = levelled(pose)
     np.testing.assert_allclose(level.rotation.as_euler("ZXY"), [0.7, 0.0, 0.0], atol=1e-12)
     np.testing.assert_allclose(level.translation, pose.translation)
+
+
+def test_the_noise_of_tachometers_at_rest_makes_no_rover_unsure_that_it_stands():
+    odometry, rng = rover(sigma=0.3)[0], np.random.default_rng(1)
+    end = drive(odometry, 0.0, 0.0, 0.1)
+    odometry.see(end - 0.01, IMAGE, POINTS)
+    noise = DATASHEET.channels["wheel_speeds"].noise
+    for tick in range(10000):
+        time = end + 0.01 * tick
+        seen = Observation(time)._replace(
+            wheel_speeds=Channel(rng.normal(0.0, noise, 4), time, Validity.MEASURED),
+            arm_angles=Channel(np.array(HOME), time, Validity.MEASURED),
+            inclinometer=Channel(np.zeros(2), time, Validity.MEASURED),
+        )
+        odometry.update(seen)
+    pose, covariance = odometry.estimate()
+    np.testing.assert_array_equal(covariance, odometry.covariance)
+    assert np.linalg.norm(pose.translation[:2]) < 1e-3
