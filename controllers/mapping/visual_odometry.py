@@ -35,8 +35,8 @@ _OTHER_POSTURE = 0.02  # Change of a joint from which on its errors count [rad].
 _STANDING = 2e-5  # Motion of rolling wheels in a tick below which the rover stands [m, rad].
 _STILL = 1e-3  # Motion below which a rover has not moved since its last pair [m, rad].
 _TREMBLE = 3e-4
-"""Turn of rolling wheels in a tick up to which it may be noise [rad]: tachometers of a rover at rest
-would add up to a turn of 0.4 rad in 100 s."""
+"""Turn of rolling wheels in a tick up to which it may be noise [rad]: the tachometers of a rover at
+rest would add up to a turn of 0.4 rad in 100 s."""
 _ROLLED = 0.1  # Way of the wheels that tells of slip [m].
 _PIVOTED, _SPOT = 0.2, 0.12
 """Turn of rolling wheels on the spot that tells of slip [rad], and their way over that turn up to
