@@ -15,6 +15,7 @@ COLOURS = {
     "without_force": "tab:red",
     "without_replanning": "tab:orange",
     "without_placement": "tab:green",
+    "without_cooperation": "tab:purple",
 }
 _COLUMNS = 4
 

@@ -9,6 +9,7 @@ import pytest
 from experiments.ch5.insertion_setting import OMITTABLE, Hardship
 from experiments.envelope import envelope
 from experiments.envelope.cells import AXES, LEAST_CELLS, MEDIUM, Cell, cells_of, chosen
+from experiments.envelope.figures import COLOURS
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output
 from models.card_and_slot.guides import width_of
@@ -89,3 +90,8 @@ def test_confirmed_cells_are_counted_in_pairs_of_other_seeds(monkeypatch, tmp_pa
 def test_unknown_axes_are_refused(tmp_path):
     with pytest.raises(OptionError, match="--axes wind: expected some of springs"):
         envelope.Options(out=tmp_path, axes=("wind",))
+
+
+def test_each_kind_of_knowledge_has_a_colour_of_its_own():
+    assert set(COLOURS) == {"whole", *(f"without_{what}" for what in OMITTABLE)}
+    assert len(set(COLOURS.values())) == len(COLOURS)
