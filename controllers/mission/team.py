@@ -25,7 +25,7 @@ from twin.robot import Command, Observation
 OMITTABLE = ("paths", "occluders", "panel", "guard", "cooperation")
 """What an ablation takes away: points of the map that paths avoid, or those by which the camera
 station is chosen; the panel, once it has localized a rover; the guard against tipping over; or what
-the master sees of card and slot (the slave goes by its own camera alone)."""
+the master sees of card and slot (the slave goes by its own map alone)."""
 STAGES = ("identify", "search", "map", "place", "approach", "insert")
 """Stages in their order; both rovers end each together."""
 _ROOMS = (0.12, 0.02, None)

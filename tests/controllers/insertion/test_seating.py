@@ -92,6 +92,14 @@ def test_a_moment_that_was_there_before_the_bottom_turns_no_card():
     assert guide.phase is Phase.DONE and abs(guide.command[2]) < 2e-3
 
 
+@pytest.mark.parametrize(("push", "turns"), [(0.0, False), (2.0, True)])
+def test_a_moment_that_no_force_explains_is_the_sensor_s_and_turns_no_card(push, turns):
+    guide = SeatingGuide(CONFIG, np.array([0.0, 0.02, 0.0]), BOTTOM)
+    for _ in range(50):
+        guide.step(np.array([0.0, -push, 0.0, 0.0, 0.0, 0.1]))
+    assert (abs(guide.command[2]) > 1e-3) == turns and (turns or guide.command[2] == 0.0)
+
+
 def test_the_command_gives_way_along_the_normal_beyond_the_deadband_and_no_farther_than_its_reach():
     guide = SeatingGuide(CONFIG, np.array([0.0, -0.01, 0.0]), BOTTOM)
     for _ in range(50):

@@ -39,7 +39,10 @@ HIT = Collision(SLAVE, "rover2/chassis", "block3", 4.0, 5.0)
     ("bad", "words"),
     [
         ({"robot": "lego"}, "'lego'; available"),
-        ({"without": ("map",)}, "--without map: expected some of paths, occluders, panel, guard"),
+        (
+            {"without": ("map",)},
+            "--without map: expected some of paths, occluders, panel, guard, coop",
+        ),
         ({"loss": 1.0}, "--loss 1.0: expected a share"),
         ({"robot": "serial:/dev/a,robot=rover1", "loss": 0.2, "quick": True}, "one mission at a"),
     ],
