@@ -150,6 +150,8 @@ class VisualOdometry:
             that features did not see; 0 where they saw nothing.
         seen: Number of motions that features gave.
         missed: Number of motions for which the wheels stood in.
+        astray: Number of these since features gave one last.
+        strayed: Turn of the rover since then, by its wheels [rad].
     """
 
     def __init__(
@@ -174,6 +176,7 @@ class VisualOdometry:
         self.covariance = np.zeros((6, 6))
         self._upright = np.zeros(2)  # Variance of the frame's own tilt [rad^2].
         self.seen, self.missed, self.slip = 0, 0, 0.0
+        self.astray, self.strayed = 0, 0.0
 
     @property
     def turn_sigma(self) -> float:
@@ -257,10 +260,15 @@ class VisualOdometry:
             )
             self._compare(view, past, pose)
             self.seen += 1
+            self.astray, self.strayed = 0, 0.0
             break
         else:
             self.missed += bool(self._views)
             self.slip = 0.0
+            if self._views and pose is not self._pose:
+                self.astray += 1
+                moved = self._pose.inv() * pose
+                self.strayed += float(moved.rotation.as_euler("ZXY")[0])
         self._pose, self.covariance, self._at = pose, covariance, past
         self._level(past)
         self._views.append(_Seen(features, self._pose * tool, self.covariance, past))
@@ -277,6 +285,7 @@ class VisualOdometry:
         past = self._past(time)
         self._pose = found.transform_level_to_world * tilt_to_level(past.tilt)
         self.covariance, self._at = found.robot_covariance(), past
+        self.astray, self.strayed = 0, 0.0
         if not self._upright.any():
             self._upright = np.diag(self.covariance)[:2].copy()
         # Of the views only the one that showed the target keeps its place in the new frame.

@@ -31,6 +31,10 @@ _ROUND = (-2.4, -1.6, -0.8, 0.0, 0.8, 1.6, 2.4)  # Turns of the arm to look on a
 _SPARE = 0.4  # Turn of the arm left to its limit after the rover has turned for it [rad].
 _MOST_LOOKS = 12  # Largest number of looks at unseen ground before the rover sets off.
 _MOST_STALLS = 4  # Largest number of times that a rover may get stuck on one way.
+_BACK = (0.0, 0.5, 1.0, 1.5)
+"""Shares of its turn since it recognised something by which an astray rover turns its head back."""
+Goal = tuple[FloatArray, float | None]
+"""Place (2,) [m] and heading [rad] in the frame of the map; None for any heading."""
 OnPair = Callable[[Observation, RobotLocalization | None], bool]
 """Called with each pair taken on the way; returns whether the drive is to end there."""
 
@@ -134,6 +138,25 @@ def look_round(seen: Observation, navigator: Navigator) -> Behaviour:
     return (yield from posed(seen, navigator, DRIVING))
 
 
+def recognised(seen: Observation, navigator: Navigator) -> Behaviour:
+    """Let a rover that is astray look back to where it recognised something last.
+
+    Args:
+        seen: Latest observation.
+        navigator: Localization and map of the rover.
+    """
+    if not navigator.astray:
+        return seen
+    back = -navigator.odometry.strayed
+    for share in _BACK:
+        seen = yield from posed(seen, navigator, DRIVING + [share * back, 0.0, 0.0, 0.0])
+        navigator.take(seen, at_rest=True)
+        if not navigator.astray:
+            return seen
+    navigator.resign()
+    return seen
+
+
 def retreat(seen: Observation, navigator: Navigator, held: bool) -> Behaviour:
     """Drive back a little.
 
@@ -155,7 +178,7 @@ def drive(
     seen: Observation,
     navigator: Navigator,
     arm: SerialChain,
-    goal: tuple[FloatArray, float | None],
+    goal: Callable[[], Goal],
     on_pair: OnPair | None = None,
     once: bool = False,
 ) -> Generator[Command, Observation, Driven]:
@@ -168,16 +191,17 @@ def drive(
         seen: Latest observation.
         navigator: Localization, map and drive of the rover.
         arm: Chain of the arm, with the left camera as its tool.
-        goal: Place (2,) [m] and heading [rad] in the frame; None for any heading.
+        goal: Returns where it drives; called again after each stop, with what is mapped then.
         on_pair: Called with each pair taken on the way; None to let no pair end the drive.
         once: Whether the drive ends where it first stops, even on its way.
     """
     on_pair = on_pair or _any
-    place, heading = goal
     stalls, reason = 0, ""
     while stalls < _MOST_STALLS:
+        seen = yield from recognised(seen, navigator)
+        place, heading = goal()
         seen, found = yield from _look_along(
-            seen, navigator, arm, lambda: navigator.path_to(place), on_pair
+            seen, navigator, arm, lambda place=place: navigator.path_to(place), on_pair
         )
         if found:
             return Driven(seen, True)
@@ -236,7 +260,7 @@ def finished(seen: Observation, navigator: Navigator) -> Behaviour:
     """
     seen, _ = yield from _go_on(seen, navigator, _any)
     navigator.halt()
-    return seen
+    return (yield from recognised(seen, navigator))
 
 
 def _with_room(seen: Observation, navigator: Navigator, angle: float) -> Behaviour:

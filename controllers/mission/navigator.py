@@ -35,7 +35,7 @@ from perception.elevation.grid import ElevationGrid
 from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
 from perception.geometry.arrays import BoolArray, FloatArray
-from perception.stereo.matching import StereoMatcher, StereoMatcherConfig
+from perception.stereo.matching import StereoMatcher, StereoMatcherConfig, StereoPoints
 from twin.description import RobotDescription
 from twin.robot import Command, Observation
 
@@ -58,6 +58,7 @@ that which is made room for [m]."""
 _TURNS, _AWAY = 6, 0.3  # Other paths that a rover takes until it has come this far [m].
 _SLIDING = 0.32  # Radius about one that slides as it turns that holds it [m].
 _SLID = 0.05  # Slide of a turn in place that ends it where something is near [m].
+_ASTRAY = 2  # Pairs in a row on the way that show nothing known from which on a rover is astray.
 _FEW = 16  # Cells not seen below it over which it may slide.
 _NO_NEARER = 0.01  # What a rover that backs off may come nearer to something [m].
 _BACK = 0.25  # Distance by which a rover backs off in the open [m].
@@ -201,6 +202,11 @@ class Navigator:
         """Heading of the rover in the frame [rad]; 0 looks along y."""
         return float(self.odometry.level_pose().rotation.as_euler("ZXY")[0])
 
+    @property
+    def astray(self) -> bool:
+        """Whether its wheels alone tell where the rover is, as it recognises nothing on the way."""
+        return self.odometry.astray >= _ASTRAY
+
     def steer(self) -> SkidSteer:
         """Return the kinematics of the wheels with the turn share and the slide seen so far."""
         seen = self.odometry
@@ -249,15 +255,8 @@ class Navigator:
         self._slips = self._slips + 1 if self.odometry.slip > _SLIPPED else 0
         self._stamp, self._taken = stamp, (self.odometry.distance, self.odometry.turned)
         camera, covariance = self.odometry.camera(stamp)
-        near, far = self._config.reach
-        depth = points.points[:, 2]
-        kept = (depth >= near) & (depth <= far)
-        turn = camera.rotation.as_matrix()
-        places = camera.apply(points.points[kept])
-        outside = ~within(places, self._own_spheres(seen))
-        fitted = aligned(self.ground, places[outside], camera.translation, covariance)
-        spread = (turn @ points.covariances[kept] @ turn.T)[outside]
-        self.ground.insert(fitted.points, spread, fitted.covariance)
+        if not self.astray:
+            self._map(seen, points, camera, covariance)
         if self.localized and (self._once or not at_rest):
             return None
         angles = np.asarray(seen.arm_angles.value, dtype=float)
@@ -269,6 +268,24 @@ class Navigator:
         if not at_rest:
             self._panel.transform_target_to_world = None  # On the way the tilt is not known well.
         return found
+
+    def _map(
+        self,
+        seen: Observation,
+        points: StereoPoints,
+        camera: RigidTransform,
+        covariance: FloatArray,
+    ) -> None:
+        """Enter the points of a view whose camera has a pose with covariance (6, 6) in the map."""
+        near, far = self._config.reach
+        depth = points.points[:, 2]
+        kept = (depth >= near) & (depth <= far)
+        turn = camera.rotation.as_matrix()
+        places = camera.apply(points.points[kept])
+        outside = ~within(places, self._own_spheres(seen))
+        fitted = aligned(self.ground, places[outside], camera.translation, covariance)
+        spread = (turn @ points.covariances[kept] @ turn.T)[outside]
+        self.ground.insert(fitted.points, spread, fitted.covariance)
 
     def _in_shade(self, seen: Observation, camera: RigidTransform) -> RobotLocalization | None:
         """Return the localization by a panel whose markers are dim, where it is expected."""
@@ -531,7 +548,7 @@ class Navigator:
 
     @property
     def waits(self) -> bool:
-        """Whether the rover has stopped on its way: it has not seen the ground, or has no path."""
+        """Whether it has stopped on its way: astray, without a path, or before unseen ground."""
         return self._waits and self._drive is not None and not self._drive.moving
 
     @property
@@ -553,6 +570,10 @@ class Navigator:
         if self._drive is None or self._drive.pivot is not None:
             return False  # Where wheels do not turn it, the ground is steep and smooth.
         return bool(self.blocked) and self._turns <= _TURNS
+
+    def resign(self) -> None:
+        """Go on from where the wheels have it, if nothing is recognised any more."""
+        self.odometry.astray = 0
 
     def forget(self) -> None:
         """Forget the map, of a rover that it encloses: it came here, so something is not there.
@@ -617,6 +638,9 @@ class Navigator:
         here = self._start.inv() * self.odometry.level_pose()
         x, y, _ = here.translation
         self._drive.correct(float(x), float(y), float(here.rotation.as_euler("ZXY")[0]))
+        if self.astray:
+            self._wait()
+            return
         if self._drive.pivot is not None:
             self._slides = self._slides_near(self._in_frame(self._drive.pivot[None]))
         if self._goal is None or self._drive.remaining < _LAST or self._goes_straight():
@@ -627,13 +651,18 @@ class Navigator:
         leads = len(kept) > 0 and math.dist(kept[-1], place) < _LAST
         path = self.path_to(place, kept if leads else None)
         if path is None or self.unseen(path, self._config.ahead[1]) is not None:
-            self._waits = True
-            self._drive.stop()
+            self._wait()
         elif path is not kept:
             if math.dist(self.place, self._anchor) > _AWAY:
                 self._anchor, self._turns = self.place, 0
             self._turns += 1
             self._drive.replan(self._in_start(path), self._turn(heading))
+
+    def _wait(self) -> None:
+        """Come to rest on the way."""
+        assert self._drive is not None
+        self._waits = True
+        self._drive.stop()
 
     def _goes_straight(self) -> bool:
         """Return whether the rover goes straight on, as it slips while it follows its path."""

@@ -22,7 +22,7 @@ class GiveWay(DrivingPart):
     def _run(self, seen: Observation) -> Behaviour:
         place = self._place()
         if place is not None:
-            seen = (yield from drive(seen, self._navigator, self._arm, (place, None))).seen
+            seen = (yield from drive(seen, self._navigator, self._arm, lambda: (place, None))).seen
         if self._belief.localization is not None:
             self._belief.stay()
         return seen

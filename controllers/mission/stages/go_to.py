@@ -20,6 +20,7 @@ from controllers.mission.behaviours import (
     DRIVING,
     Behaviour,
     DrivingPart,
+    Goal,
     drive,
     drive_along,
     finished,
@@ -74,6 +75,7 @@ class GoToPlace(DrivingPart):
         self.name, self.place, self.stops = name, choose(), 0
         self._choose, self._near = choose, near
         self._reason = ""  # Why the last drive has not arrived.
+        self._docks = False  # Whether it was to stop short of the place.
 
     def _run(self, seen: Observation) -> Behaviour:
         while self.stops == 0 or self._missed():
@@ -103,12 +105,11 @@ class GoToPlace(DrivingPart):
                 self.place = self._choose()
             self._reason = ""
         if self._near[1] >= _ANY_WAY:
-            return (yield from self._drive(seen, *self._as_led()))
-        (place, heading), (off, turn) = self._goal(), self._off()
+            return (yield from self._drive(seen, self._as_led))
+        off, turn = self._off()
         if off > _NEAR or turn > _ALONG:
-            stretch = self._stretch()
-            seen = yield from self._drive(seen, place + (stretch or 0.0) * _ahead(heading), heading)
-            if self._reason or stretch is None:
+            seen = yield from self._drive(seen, self._before_place)
+            if self._reason or not self._docks:
                 return seen
             seen = yield from self._look(seen)
         return (yield from self._dock(seen))
@@ -118,7 +119,7 @@ class GoToPlace(DrivingPart):
         navigator, (place, heading) = self._navigator, self._goal()
         legs = docking([*navigator.place, navigator.yaw], [*place, heading], self._is_free)
         if not legs:
-            return (yield from self._drive(seen, place, heading))
+            return (yield from self._drive(seen, self._goal))
         if len(legs) > 1:
             seen = yield from drive_along(seen, navigator, self._arm, *legs[0])
             legs = [curve_to([*navigator.place, navigator.yaw], [*place, heading])]
@@ -140,18 +141,19 @@ class GoToPlace(DrivingPart):
             return False
         return not leg.backwards or self._navigator.unseen(leg.path, math.inf) is None
 
-    def _stretch(self) -> float | None:
-        """Return where along the heading the rover stops short [m], negative behind the place."""
+    def _before_place(self) -> Goal:
+        """Return where the rover stops short of its place; that itself where it cannot."""
         place, heading = self._goal()
         for stretch in _STRETCHES:
             begin = place + stretch * _ahead(heading)
-            if self._navigator.is_clear(np.array([begin, place])) and np.isfinite(
-                self._navigator.lengths_to(begin[None])[0]
-            ):
-                return stretch
-        return None
+            self._docks = self._navigator.is_clear(np.array([begin, place])) and bool(
+                np.isfinite(self._navigator.lengths_to(begin[None])[0])
+            )
+            if self._docks:
+                return begin, heading
+        return place, heading
 
-    def _as_led(self) -> tuple[FloatArray, float | None]:
+    def _as_led(self) -> Goal:
         """Return place (2,) [m], and heading [rad] unless the path ends in one that will do."""
         place, heading = self._goal()
         path = self._navigator.path_to(place)
@@ -165,9 +167,9 @@ class GoToPlace(DrivingPart):
         place = self._arm_base(place, heading) - self._arm_base(np.zeros(2), turned)
         return place, None if turned == led else turned
 
-    def _drive(self, seen: Observation, place: FloatArray, heading: float | None) -> Behaviour:
-        """Drive to a place (2,) [m] and heading [rad] of the frame along planned paths."""
-        driven = yield from drive(seen, self._navigator, self._arm, (place, heading))
+    def _drive(self, seen: Observation, goal: Callable[[], Goal]) -> Behaviour:
+        """Drive to a place along planned paths."""
+        driven = yield from drive(seen, self._navigator, self._arm, goal)
         self._reason = driven.reason
         return driven.seen
 

@@ -121,8 +121,10 @@ class SearchPanel(DrivingPart):
             if view.rate < _LEAST:
                 raise StageError(self.name, f"the panel is in none of {search.views} views")
             if np.any(view.place != places[0]):
-                goal = (view.place, None)
-                driven = yield from drive(seen, navigator, self._arm, goal, self._glimpse, True)
+                place = view.place
+                driven = yield from drive(
+                    seen, navigator, self._arm, lambda to=place: (to, None), self._glimpse, True
+                )
                 # It goes on to what it has decided on, unless something is in the way.
                 goes_on = driven.stopped and not driven.reason
                 seen, wanted = driven.seen, view.place[None][:goes_on]
@@ -165,8 +167,8 @@ class SearchPanel(DrivingPart):
         lengths = navigator.lengths_to(places)
         if not np.isfinite(lengths).any():
             return seen
-        goal = places[np.argmin(lengths)], None
-        seen = (yield from drive(seen, navigator, self._arm, goal)).seen
+        nearest = places[np.argmin(lengths)]
+        seen = (yield from drive(seen, navigator, self._arm, lambda: (nearest, None))).seen
         to_map = belief.map.transform_target_to_world
         assert to_map is not None
         for look in (faced, _at):

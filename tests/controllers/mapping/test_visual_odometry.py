@@ -217,6 +217,21 @@ def test_where_nothing_is_recognised_the_wheels_stand_in_with_their_covariance()
     assert math.sqrt(seen.covariance[2, 2]) < 0.01
 
 
+def test_a_rover_is_astray_by_what_it_did_not_recognise_on_the_way_and_not_at_rest():
+    odometry, matcher = rover(share=0.5, sigma=0.1)
+    time = drive(odometry, 0.0, 0.0, 0.1)
+    odometry.see(time, IMAGE, POINTS)
+    for speed, astray, strayed in ((0.2, 1, 0.1), (0.2, 2, 0.2), (0.0, 2, 0.2)):
+        time = drive(odometry, 0.0, speed, 1.0, time)
+        matcher.motions = [None]
+        odometry.see(time - 0.01, IMAGE, POINTS)
+        assert odometry.astray == astray
+        assert odometry.strayed == pytest.approx(strayed, abs=0.01)
+    matcher.motions = [camera_motion(odometry, RigidTransform.identity())]
+    odometry.see(time - 0.01, IMAGE, POINTS)
+    assert odometry.astray == 0 and odometry.strayed == 0.0
+
+
 def test_a_turn_that_the_wheels_do_not_tell_is_recognised():
     """On smooth ground the rover has turned by 0.35 rad more than its wheels."""
     odometry, matcher = rover(share=0.5, sigma=0.1)

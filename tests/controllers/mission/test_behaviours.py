@@ -1,6 +1,7 @@
 """Drives and poses of a rover, on a navigator made by hand."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from controllers.mission.behaviours import (
     drive_along,
     faced,
     posed,
+    recognised,
     retreat,
 )
 from tests.controllers.motion.seen import PAIR, seen_at
@@ -22,6 +24,14 @@ from twin.robot import Command
 ARM, _ = camera_arm(describe_rover("rover1"))
 STEPS = 100
 """Ticks of a drive made by hand."""
+
+
+def ahead():
+    return np.array([0.0, 1.0]), None
+
+
+def behind():
+    return np.array([0.2, -1.1]), None
 
 
 class HandNavigator:
@@ -34,6 +44,7 @@ class HandNavigator:
         self.place, self.yaw, self.heading = np.zeros(2), 0.0, math.nan
         self.room = math.inf
         self.waits, self._waits_at, self.footing = False, waits_at, None
+        self.astray, self.known, self.odometry = False, None, SimpleNamespace(strayed=0.0)
 
     @property
     def looks(self):
@@ -79,7 +90,13 @@ class HandNavigator:
     def take(self, seen, at_rest):
         self.taken += 1
         self.postures.append(np.array(seen.arm_angles.value))
+        if self.known is not None and abs(self.postures[-1][0] - self.known) < 0.1:
+            self.astray = False
         return None
+
+    def resign(self):
+        self.calls.append("resign")
+        self.astray = False
 
     def correct(self):
         self.calls.append("correct")
@@ -132,7 +149,7 @@ def test_posed_returns_with_a_pair_taken_at_the_goal():
 
 def test_a_drive_takes_pairs_before_and_on_the_way():
     navigator = HandNavigator()
-    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    driven, _ = play(drive(first(), navigator, ARM, ahead))
     assert driven.arrived and not driven.reason
     assert navigator.calls[0] == "set off" and navigator.calls[-1] == "halt"
     assert navigator.calls.count("correct") == 5 and navigator.taken == 6
@@ -142,7 +159,7 @@ def test_a_drive_takes_pairs_before_and_on_the_way():
 def test_unseen_ground_is_looked_at_before_a_drive_sets_off():
     sides = [[-0.6, 0.1, -0.06], [0.5, 0.5, -0.06]]
     navigator = HandNavigator(unseen=sides)
-    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    driven, _ = play(drive(first(), navigator, ARM, ahead))
     assert driven.arrived and navigator.calls.count("set off") == 1
     for posture, point in zip(navigator.postures, sides):
         seen = ARM.tool_in_robot(posture).apply(point, inverse=True)
@@ -154,7 +171,7 @@ def test_unseen_ground_is_looked_at_before_a_drive_sets_off():
 
 def test_a_rover_that_waits_before_unseen_ground_looks_at_it_and_drives_on():
     navigator = HandNavigator(waits_at=30)
-    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    driven, _ = play(drive(first(), navigator, ARM, ahead))
     assert driven.arrived and navigator.calls.count("set off") == 2
     assert navigator.calls.count("back off") == 0
     assert navigator.looks == 1
@@ -162,8 +179,7 @@ def test_a_rover_that_waits_before_unseen_ground_looks_at_it_and_drives_on():
 
 def test_a_drive_in_one_go_ends_where_it_first_stops():
     for navigator, held in ((HandNavigator(waits_at=30), 0), (HandNavigator(held=1), 1)):
-        goal = np.array([0.0, 1.0]), None
-        driven, _ = play(drive(first(), navigator, ARM, goal, once=True))
+        driven, _ = play(drive(first(), navigator, ARM, ahead, once=True))
         assert driven.stopped and not driven.arrived
         assert navigator.calls.count("set off") == 1
         assert navigator.calls.count("back off") == held and navigator.arrived
@@ -173,7 +189,7 @@ def test_a_rover_beside_something_moves_away_before_it_turns():
     for behaviour in (drive, faced):
         navigator = HandNavigator()
         # To what lies behind on its right it turns by 2.96 rad; to see it, by 0.76.
-        goal = np.array([0.2, -1.1, 0.0]) if behaviour is faced else (np.array([0.2, -1.1]), None)
+        goal = np.array([0.2, -1.1, 0.0]) if behaviour is faced else behind
         turned = 0.76 if behaviour is faced else 2.96
         for navigator.room, moved in ((turned - 0.05, True), (turned + 0.05, False)):
             navigator.calls.clear()
@@ -193,21 +209,21 @@ def test_a_straight_drive_looks_ahead_but_not_where_it_came_from():
 
 def test_a_held_rover_backs_off_and_tries_again():
     navigator = HandNavigator(held=1)
-    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    driven, _ = play(drive(first(), navigator, ARM, ahead))
     assert driven.arrived
     assert navigator.calls.count("back off") == 1 and navigator.calls.count("set off") == 2
 
 
 def test_a_rover_that_is_held_again_and_again_says_why():
     navigator = HandNavigator(held=99)
-    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    driven, _ = play(drive(first(), navigator, ARM, ahead))
     assert not driven.arrived and "something holds the rover" in driven.reason
     assert navigator.calls.count("set off") == 4
 
 
 def test_without_a_path_the_rover_looks_on_all_sides_and_moves_a_little_before_it_gives_up():
     navigator = HandNavigator(path=False)
-    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None)))
+    driven, _ = play(drive(first(), navigator, ARM, ahead))
     assert not driven.arrived and "no path" in driven.reason
     assert navigator.calls.count("set off") == navigator.calls.count("retreat") == 4
     turns = [posture[0] for posture in navigator.postures if abs(posture[2] - LOOKING[2]) < 1e-6]
@@ -233,7 +249,7 @@ def test_a_pair_may_end_the_drive():
         seen.append(observation.time)
         return len(seen) == 4
 
-    driven, _ = play(drive(first(), navigator, ARM, (np.array([0.0, 1.0]), None), on_pair))
+    driven, _ = play(drive(first(), navigator, ARM, ahead, on_pair))
     assert driven.arrived and len(seen) == 4
     assert navigator.calls[-1] == "halt"
 
@@ -242,3 +258,27 @@ def test_a_retreat_drives_back_without_a_bump():
     navigator = HandNavigator()
     play(retreat(first(), navigator, held=False))
     assert navigator.calls == ["retreat", "halt"]
+
+
+def test_an_astray_rover_turns_its_head_back_until_it_recognises_something():
+    """It has turned by 0.6 rad to the left, by its wheels; truly by 0.9 rad, or who knows."""
+    for known, calls, turns in ((-0.9, [], [0.0, -0.3, -0.6, -0.9]), (None, ["resign"], None)):
+        navigator = HandNavigator()
+        play(recognised(first(), navigator))
+        assert not navigator.postures
+        navigator.astray, navigator.known, navigator.odometry.strayed = True, known, 0.6
+        play(recognised(first(), navigator))
+        assert not navigator.astray and navigator.calls == calls
+        if turns:
+            np.testing.assert_allclose([p[0] for p in navigator.postures], turns, atol=0.02)
+
+
+def test_where_a_drive_leads_is_asked_again_after_each_stop():
+    navigator, asked = HandNavigator(held=1, waits_at=30), []
+
+    def goal():
+        asked.append(len(navigator.calls))
+        return ahead()
+
+    driven, _ = play(drive(first(), navigator, ARM, goal))
+    assert driven.arrived and len(asked) == navigator.calls.count("set off") == 3

@@ -30,7 +30,7 @@ def goals(monkeypatch):
     driven = []
 
     def drive(seen, navigator, arm, goal):
-        driven.append(goal)
+        driven.append(goal())
         return Driven(seen, True)
         yield
 

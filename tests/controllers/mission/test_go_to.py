@@ -1,5 +1,7 @@
 """Drives to a place that fail: the place is chosen anew, and in the end the stage says why."""
 
+import math
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
@@ -20,8 +22,8 @@ class GoBy(GoToPlace):
     def _goal(self):
         return np.array(self.place[:2]), self.place[2]
 
-    def _stretch(self):
-        return None
+    def _before_place(self):
+        return self._goal()
 
     def _look(self, seen):
         return seen
@@ -35,11 +37,12 @@ def stage_with(monkeypatch, arrives, heading=0.0, near=(0.05, 0.1)):
     went, places = [], iter([(x, 0.0, heading) for x in range(2, 13)])
 
     def drive(seen, navigator, arm, goal):
-        went.append((float(goal[0][0]), goal[1]))
+        place, heading = goal()
+        went.append((float(place[0]), heading))
         arrived = arrives(len(went))
         if arrived:
             navigator.odometry._pose = type(navigator.odometry.pose()).from_translation(
-                [*goal[0], 0.0]
+                [*place, 0.0]
             )
         return Driven(seen, arrived, "" if arrived else "there is no path")
         yield
@@ -201,3 +204,19 @@ def test_a_rover_that_waits_looks_every_ten_seconds_whether_it_still_stands(monk
     assert len(looks) == 4 and looks[0] < 2.0
     np.testing.assert_allclose(np.diff(looks), 10.0, atol=0.03)
     assert belief.localization is not before
+
+
+def test_a_rover_stops_short_of_its_place_where_there_is_room_by_what_is_mapped_then(monkeypatch):
+    belief = belief_of(SLAVE)
+    navigator = belief.navigator
+    navigator.observe(seen_at(0.0))
+    free = [-0.5, 0.4]
+    monkeypatch.setattr(navigator, "is_clear", lambda path: path[0][0] - path[1][0] in free)
+    monkeypatch.setattr(navigator, "lengths_to", lambda places: np.ones(len(places)))
+    stage = GoToPlace("approach", belief, lambda: (0.0, 0.0, -0.5 * math.pi), (0.1, 0.07))
+    monkeypatch.setattr(stage, "_goal", lambda: (np.zeros(2), -0.5 * math.pi))
+    for x in (-0.5, 0.4, 0.0):
+        place, heading = stage._before_place()
+        np.testing.assert_allclose(place, [x, 0.0], atol=1e-12)
+        assert heading == -0.5 * math.pi and stage._docks == (x != 0.0)
+        free = [other for other in free if other != x]

@@ -128,7 +128,7 @@ def test_a_rover_that_is_to_map_the_site_comes_near_it(monkeypatch, far):
     goals = []
 
     def drive(seen, navigator, arm, goal):
-        goals.append(goal[0])
+        goals.append(goal()[0])
         return Driven(seen, True)
         yield
 
