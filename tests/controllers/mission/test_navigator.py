@@ -426,3 +426,27 @@ def test_the_panel_localizes_a_rover_again_unless_that_is_left_out(monkeypatch, 
     navigator.localized = True
     navigator._panel.transform_target_to_world = RigidTransform.identity()  # pyright: ignore
     assert (take() is found) == again
+
+
+def test_an_astray_rover_stops_and_maps_nothing_until_it_resigns(monkeypatch):
+    rover, mapped = Rolling(), []
+    navigator = rover.navigator
+    monkeypatch.setattr(navigator, "_map", lambda *_: mapped.append(True))
+    grey = np.zeros((2, CAMERA.height, CAMERA.width), np.uint8)
+    for astray, maps in ((0, True), (0, True), (1, False), (0, True)):
+        navigator.follow(np.array([[0.0, 0.0], [0.0, 1.0]]), None)
+        for _ in range(50):
+            rover.wheels = np.array(navigator.step(rover.seen).wheels)
+            rover.seen = rover.tick()
+        navigator.odometry.astray = astray
+        mapped.clear()
+        navigator.take(rover.seen._replace(stereo=rover.seen.stereo._replace(value=grey)), False)
+        # Of grey pairs each one shows nothing known, and counts.
+        assert bool(mapped) == (navigator.odometry.astray < 2) == maps
+        navigator.correct()
+        for _ in range(100):
+            rover.wheels = np.array(navigator.step(rover.seen).wheels)
+            rover.seen = rover.tick()
+        assert navigator.waits == (not maps)
+        navigator.resign()
+        assert not navigator.astray
