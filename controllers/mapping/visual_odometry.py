@@ -150,8 +150,8 @@ class VisualOdometry:
             that features did not see; 0 where they saw nothing.
         seen: Number of motions that features gave.
         missed: Number of motions for which the wheels stood in.
-        astray: Number of these since features gave one last.
-        strayed: Turn of the rover since then, by its wheels [rad].
+        astray: Number of these since features gave one last; 0 to go on by the wheels.
+        strayed: Turn of the rover since features gave a motion last, by its wheels [rad].
     """
 
     def __init__(

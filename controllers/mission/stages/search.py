@@ -121,9 +121,13 @@ class SearchPanel(DrivingPart):
             if view.rate < _LEAST:
                 raise StageError(self.name, f"the panel is in none of {search.views} views")
             if np.any(view.place != places[0]):
-                place = view.place
                 driven = yield from drive(
-                    seen, navigator, self._arm, lambda to=place: (to, None), self._glimpse, True
+                    seen,
+                    navigator,
+                    self._arm,
+                    lambda place=view.place: (place, None),
+                    self._glimpse,
+                    once=True,
                 )
                 # It goes on to what it has decided on, unless something is in the way.
                 goes_on = driven.stopped and not driven.reason
