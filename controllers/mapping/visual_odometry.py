@@ -5,6 +5,7 @@ two views overlap. So the wheels give the guess, and bridge pairs in which nothi
 the inclinometer keeps the frame level. All errors are carried in one covariance of the pose.
 """
 
+import bisect
 import collections
 import dataclasses
 import itertools
@@ -95,12 +96,14 @@ class _Past(NamedTuple):
         time: [s], by the robot's clock.
         rolled: (2,) distance [m] and turn [rad] of rolling wheels in this tick.
         tilt: (2,) pitch and roll by the inclinometer, smoothed [rad].
+        downhill: (2,) direction downhill by that, see `driving.downhill`.
         angles: (joints,) joint angles [rad].
     """
 
     time: float
     rolled: tuple[float, float]
     tilt: FloatArray
+    downhill: FloatArray
     angles: FloatArray
 
     @property
@@ -198,7 +201,7 @@ class VisualOdometry:
             forward, turn = self._rolling.motion(seen.wheel_speeds.value)
             rolled = forward * config.period, turn * config.period
         if self._at is None:
-            self._at = _Past(seen.time, rolled, tilt, angles)
+            self._at = _Past(seen.time, rolled, tilt, downhill(tilt), angles)
             self._pose = tilt_to_level(tilt)
             self.covariance = np.diag(np.square([config.tilt_at_rest] * 2 + [1e-6] * 4))
         else:
@@ -206,7 +209,7 @@ class VisualOdometry:
             tilt = self._pasts[-1].tilt + share * (tilt - self._pasts[-1].tilt)
         self.distance += abs(rolled[0])
         self.turned += max(self.turn_share, _QUICK) * rolled[1]
-        self._pasts.append(_Past(seen.time, rolled, tilt, angles))
+        self._pasts.append(_Past(seen.time, rolled, tilt, downhill(tilt), angles))
         while self._pasts[0].time < min(seen.time - _KEPT, self._at.time):
             self._pasts.popleft()
 
@@ -297,7 +300,9 @@ class VisualOdometry:
 
     def _past(self, time: float) -> _Past:
         """Return the tick nearest to a time."""
-        return min(self._pasts, key=lambda past: abs(past.time - time))
+        after = bisect.bisect_left(self._pasts, time, key=lambda past: past.time)
+        near = [self._pasts[index] for index in (after - 1, after) if 0 <= index < len(self._pasts)]
+        return min(near, key=lambda past: abs(past.time - time))
 
     def _rolled_since(
         self, begin: _Past, end: _Past, slide: float | None = None
@@ -315,7 +320,7 @@ class VisualOdometry:
         if not between:
             return RigidTransform.identity(), 0.0
         steps = np.array([past.rolled for past in between])
-        slopes = np.array([downhill(past.tilt) for past in between])
+        slopes = np.array([past.downhill for past in between])
         turns = self.turn_share * steps[:, 1]
         yaw = np.cumsum(turns) - 0.5 * turns
         flat = (self.slide if slide is None else slide) * np.abs(steps[:, 1])[:, None] * slopes
@@ -386,7 +391,7 @@ class VisualOdometry:
         Its wheels may have rolled it back meanwhile.
         """
         rolled, angle = self._rolled_since(before, after, slide=0.0)
-        slope = downhill(before.tilt)
+        slope = before.downhill
         steep, way = float(np.linalg.norm(slope)), float(np.linalg.norm(rolled.translation))
         if angle < _SCRUBBED or way > _ON or steep < _STEEP:
             return

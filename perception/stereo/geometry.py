@@ -94,7 +94,14 @@ class StereoGeometry(Pinhole):
         Returns:
             (..., 3, 3) covariances [m^2], left camera frame.
         """
-        back = np.linalg.inv(self.projection_jacobian(points))
+        x, y, z = np.moveaxis(np.asarray(points, dtype=float), -1, 0)
+        nothing, by_disparity = np.zeros_like(z), -z / (self.fx * self.baseline)
+        rows = (
+            (z / self.fx, nothing, x * by_disparity),
+            (nothing, z / self.fy, y * by_disparity),
+            (nothing, nothing, z * by_disparity),
+        )
+        back = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
         weighted = back * np.asarray(sigma, dtype=float)[..., None, :]
         return weighted @ np.swapaxes(weighted, -1, -2)
 
