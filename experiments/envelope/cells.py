@@ -1,4 +1,7 @@
-"""Cells of ``mission-envelope``: axes, their levels, and the knowledge that should matter there."""
+"""Cells of ``mission-envelope``: axes, their levels, and the knowledge that should matter there.
+
+Insertions begin where missions had left the rovers; what makes a field harder takes whole missions.
+"""
 
 import dataclasses
 import math
@@ -6,29 +9,38 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from experiments.ch5.insertion_setting import Hardship, InsertionTrial
+from experiments.mission.scene import Field
+from experiments.mission.trial import MissionTrial
 from models.card_and_slot.guides import width_of
 from models.datasheets import CARD_GUIDE
 
 MEDIUM = CARD_GUIDE.clearances[1]
 PROMISING, LEAST_CELLS = 0.3, 10
-"""Loss of success in the screening from which on a cell is confirmed, and how many are at least."""
+"""Loss of success in the screening from which on a cell of insertions is confirmed, and how many
+are at least."""
+POOR = 0.5
+"""Loss from which on a cell of whole missions is."""
+_NEAREST = {8.0: 3.0, 10.0: 8.0}  # Nearest initial pose of each farthest one [m].
 
 
 @dataclasses.dataclass(frozen=True)
 class Axis:
-    """One way in which an insertion becomes harder.
+    """One way in which an insertion, or a whole mission, becomes harder.
 
     Attributes:
         title: What varies, with its unit.
-        levels: Its values; the first is the default, the last the hardest.
-        knowledge: What is left out there, some of `OMITTABLE`, what should matter most first.
+        levels: Its values, the last the hardest; the first is the default, which whole missions
+            leave out: `mission` runs it.
+        knowledge: What is left out there, some of what can be, what should matter most first.
         scale: Value in SI units over a level.
+        whole: Whether it takes whole missions.
     """
 
     title: str
     levels: tuple[float, ...]
     knowledge: tuple[str, ...]
     scale: float = 1.0
+    whole: bool = False
 
 
 AXES: Mapping[str, Axis] = {
@@ -44,13 +56,17 @@ AXES: Mapping[str, Axis] = {
     "head_errors": Axis("heads' errors / default", (1.0, 3.0, 6.0), ("force", "placement")),
     "delay": Axis("delay of vision [s]", (0.0, 0.5, 1.0), ("force", "replanning")),
     "loss": Axis("radio's loss", (0.0, 0.2, 0.5), ("replanning", "force")),
+    "clutter": Axis("rocks and blocks / default", (0.0, 2.0), ("paths",), whole=True),
+    "friction": Axis("least friction", (0.2,), ("panel",), whole=True),
+    "distance": Axis("farthest initial pose [m]", (10.0,), ("paths",), whole=True),
 }  # fmt: skip
-"""Axes by name; those but the clearance are fields of `Hardship`."""
+"""Axes by name: those of insertions but the clearance are fields of `Hardship`, the others of
+`Field`."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Cell:
-    """Insertions at a level of an axis, whole or without something.
+    """Insertions or missions at a level of an axis, whole or without something.
 
     Attributes:
         axis: Name of the axis.
@@ -78,9 +94,14 @@ class Cell:
         """Name of what is left out, as in a metric's key."""
         return f"without_{self.without}" if self.without else "whole"
 
-    def trial(self, seed: int) -> InsertionTrial:
-        """Return the insertion of a seed."""
-        value: Any = self.level * AXES[self.axis].scale
+    def trial(self, seed: int) -> InsertionTrial | MissionTrial:
+        """Return the insertion, or the mission, of a seed."""
+        axis = AXES[self.axis]
+        value: Any = self.level * axis.scale
+        if axis.whole:
+            if self.axis == "distance":
+                value = _NEAREST[self.level], self.level
+            return MissionTrial(seed, self.without, hardness=Field(**{self.axis: value}))
         clearance = value if self.axis == "clearance" else MEDIUM
         harder = {} if self.axis == "clearance" else {self.axis: value}
         return InsertionTrial(
@@ -109,10 +130,14 @@ def chosen(shares: Mapping[Cell, float]) -> list[Cell]:
         shares: Success of each cell in the screening.
 
     Returns:
-        All that lost `PROMISING` or more, and at least `LEAST_CELLS`, in their own order.
+        Insertions that lost `PROMISING` or more, and at least `LEAST_CELLS`; missions that lost
+        `POOR` or more; in their own order.
     """
     lost = {cell: shares[cell.whole] - share for cell, share in shares.items() if cell.without}
-    ranked = sorted(lost, key=lambda cell: -lost[cell])
-    enough = sum(loss >= PROMISING - 1e-9 for loss in lost.values())
-    kept = set(ranked[: max(enough, LEAST_CELLS)])
+    missions = [cell for cell in lost if AXES[cell.axis].whole]
+    insertions = [cell for cell in lost if not AXES[cell.axis].whole]
+    ranked = sorted(insertions, key=lambda cell: -lost[cell])
+    enough = sum(lost[cell] >= PROMISING - 1e-9 for cell in insertions)
+    kept = {*ranked[: max(enough, LEAST_CELLS)]}
+    kept |= {cell for cell in missions if lost[cell] >= POOR - 1e-9}
     return [cell for cell in lost if cell in kept]

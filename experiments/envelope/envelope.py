@@ -1,12 +1,14 @@
 """``mission-envelope``: what knowledge is worth to an insertion, where it becomes harder.
 
 Rovers as made, left where missions had left them, insert a card into guides: whole, and without one
-kind of knowledge. A screening with few seeds chooses, by a rule written down beforehand, the cells
-that other seeds confirm. Axes, rule and measures: ``docs/mission.md``.
+kind of knowledge; where the field is harder to cross, whole missions are run. A screening with few
+seeds chooses, by a rule written down beforehand, the cells that other seeds confirm. Axes, rule and
+measures: ``docs/mission.md``.
 """
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from experiments.ch5.insertion_trial import InsertionOutcome, run_trial
 from experiments.envelope.cells import AXES, Cell, cells_of, chosen
@@ -16,13 +18,19 @@ from experiments.harness.contract import OptionError
 from experiments.harness.intervals import Distribution, holm, mcnemar, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
+from experiments.mission.trial import MissionResult, run_mission
 
 SCREENED, CONFIRMED = 10, 30
 """Seeds of the screening and of the cells that are confirmed."""
 SIGNIFICANT = 0.01
 """Bar of McNemar's p."""
 _CONFIRMING = 1_000_003  # Added to the root of the seeds that confirm.
-Results = dict[Cell, list[InsertionOutcome]]
+_KINDS: tuple[tuple[str, bool, Callable[[Any], Any]], ...] = (
+    ("insertions", False, run_trial),
+    ("missions", True, run_mission),
+)
+Outcomes = Sequence[InsertionOutcome | MissionResult]
+Results = dict[Cell, Outcomes]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,9 +95,14 @@ def _run_all(
     cells: Sequence[Cell], seeds: Sequence[int], label: str, options: Options, output: Output
 ) -> Results:
     """Run cells, each with the same seeds."""
-    jobs = [cell.trial(seed) for cell in cells for seed in seeds]
-    results = sweep(run_trial, jobs, options, output, label=label)
-    return {cell: results[at * len(seeds) : (at + 1) * len(seeds)] for at, cell in enumerate(cells)}
+    results: Results = {}
+    for what, whole, function in _KINDS:
+        some = [cell for cell in cells if AXES[cell.axis].whole is whole]
+        jobs = [cell.trial(seed) for cell in some for seed in seeds]
+        found = sweep(function, jobs, options, output, label=f"{what} {label}") if jobs else []
+        for at, cell in enumerate(some):
+            results[cell] = found[at * len(seeds) : (at + 1) * len(seeds)]
+    return results
 
 
 def _measure(confirmed: Results, output: Output) -> None:
@@ -130,9 +143,9 @@ def _shares(results: Results) -> Mapping[Cell, Distribution]:
     return {cell: _share(each) for cell, each in results.items()}
 
 
-def _share(results: Sequence[InsertionOutcome]) -> Distribution:
+def _share(results: Outcomes) -> Distribution:
     return success_fraction(_flags(results))
 
 
-def _flags(results: Sequence[InsertionOutcome]) -> list[bool]:
+def _flags(results: Outcomes) -> list[bool]:
     return [result.success for result in results]

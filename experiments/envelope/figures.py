@@ -16,6 +16,8 @@ COLOURS = {
     "without_replanning": "tab:orange",
     "without_placement": "tab:green",
     "without_cooperation": "tab:purple",
+    "without_paths": "tab:brown",
+    "without_panel": "tab:pink",
 }
 _COLUMNS = 4
 

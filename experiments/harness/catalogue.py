@@ -122,7 +122,7 @@ _ALL: tuple[Experiment, ...] = (
     ),
     Experiment(
         name="mission-envelope",
-        summary="what each kind of knowledge is worth to an insertion, and where nothing",
+        summary="what each kind of knowledge is worth to insertion and mission, and where nothing",
         thesis="the thesis' claim: what knowledge of oneself and one's surroundings brings",
         module="experiments.envelope.envelope",
     ),

@@ -47,7 +47,7 @@ def draw_field(axes: Axes, trial: MissionTrial) -> None:
         axes: Axes in metres of the field's plane.
         trial: Settings of the mission.
     """
-    scene = draw_scene(trial.width, generators(trial.seed)[0])
+    scene = draw_scene(trial.width, generators(trial.seed)[0], trial.hardness)
     ground = make_terrain(scene.field, scene.robots)
     for solids, colour in (
         (ground.rocks, "0.8"), (ground.blocks, "0.55"), (ground.screens, "0.2"),

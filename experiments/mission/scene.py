@@ -22,6 +22,7 @@ from experiments.ch5.insertion_scene import (
 )
 from models.clutter import PanelConfig, ScreenConfig
 from models.compose import FieldConfig, RobotPlacement, make_model
+from models.configuration import SUN_ELEVATION
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import transport_covariance
 from perception.registration.target import TargetCad
@@ -42,23 +43,49 @@ BLOCK = (0.097, 0.097, 0.097)
 """Width, depth and height of what is put up [m]; a block's edge is a wheel's diameter."""
 _FIELD = dataclasses.replace(
     FIELD,
-    size=(22.0, 22.0),
-    rocks=1340,
     rock_radius=(0.02, 0.07),
-    blocks=220,
     block_edge=(0.05, 0.10),
     texture_pixels=4096,
     texture_tile=2.0,
-    friction_patches=(0.3, 0.8),
+    sun_elevation=SUN_ELEVATION,
     clear=((*CARD_PLACE[:2], 0.45), (0.0, 0.1, 0.25)),
 )
 _CARD = (0.52, 0.12)
 """How far ahead of the slave its card is at first, and radius of a disc that holds it [m]."""
 _PLINTH = ScreenConfig((0.0, 0.22), 0.0, (0.16, 0.16, 0.2))
-_NEAREST, _FARTHEST, _APART = 3.0, 8.0, 2.0  # Initial poses from the slot and from another [m].
+_APART = 2.0  # Initial poses from another [m].
+_MARGIN = 3.0  # Ground beyond the farthest initial pose [m].
+_ROCKS, _BLOCKS = 1340 / 22.0**2, 220 / 22.0**2  # Drawn on a square metre.
+_PATCHES = 0.5  # Largest friction of a patch over the least.
 _STEEPEST = math.radians(10.0)
 _WALL_ODDS, _WALL_FAR = 0.75, (1.0, 1.6)
 _ALONG_WALL = np.linspace(-0.5, 0.5, 9)  # Points of a wall that keep off [its width].
+
+
+@dataclasses.dataclass(frozen=True)
+class Field:
+    """How hard a field is to cross.
+
+    Attributes:
+        clutter: Rocks and blocks on a square metre over the default's.
+        friction: Least friction of the ground's patches.
+        distance: Distances of initial poses from the slot, least and most [m].
+    """
+
+    clutter: float = 1.0
+    friction: float = 0.3
+    distance: tuple[float, float] = (3.0, 8.0)
+
+    def config(self) -> FieldConfig:
+        """Return ground, rocks and blocks, before a seed and what stands there are drawn."""
+        side = 2.0 * (self.distance[1] + _MARGIN)
+        return dataclasses.replace(
+            _FIELD,
+            size=(side, side),
+            rocks=round(self.clutter * _ROCKS * side**2),
+            blocks=round(self.clutter * _BLOCKS * side**2),
+            friction_patches=(self.friction, self.friction + _PATCHES),
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,18 +103,22 @@ class MissionScene:
     known: dict[str, tuple[float, float, float]]
 
 
-def draw_scene(width: float, rng: np.random.Generator) -> MissionScene:
+def draw_scene(
+    width: float, rng: np.random.Generator, hardness: Field | None = None
+) -> MissionScene:
     """Draw ground, site and initial poses.
 
     Args:
         width: Distance between the floors of the grooves of the slot's guides [m].
         rng: Random generator for all that is drawn.
+        hardness: How hard the field is to cross; None for the default.
     """
+    hardness = hardness or Field()
     steep, uphill = rng.uniform(0.0, _STEEPEST), rng.uniform(-math.pi, math.pi)
     x, y = rng.uniform(-0.1, 0.1, 2)
     turn = rng.uniform(-1.0, 1.0) * math.radians(20.0)
     panel = PanelConfig((-0.5 + x, -0.3 + y), yaw=math.pi / 2 + turn, tilt=0.3, ballast=0.12)
-    poses = _initial_poses(rng)
+    poses = _initial_poses(hardness.distance, rng)
     walls = [
         wall
         for pose in poses.values()
@@ -96,7 +127,7 @@ def draw_scene(width: float, rng: np.random.Generator) -> MissionScene:
     away, aside = rng.uniform(0.40, 0.50), rng.uniform(-1.0, 1.0) * math.radians(20.0)
     pillar = ScreenConfig((away * math.cos(aside), away * math.sin(aside)), aside, PILLAR)
     field = dataclasses.replace(
-        _FIELD,
+        hardness.config(),
         seed=int(rng.integers(2**31)),
         slope=(steep * math.cos(uphill), steep * math.sin(uphill)),
         panel=panel,
@@ -160,12 +191,14 @@ def roles(realism: RealismName = "ideal") -> MissionRoles:
     return MissionRoles(*(as_stated(robot, realism) for robot in robots))
 
 
-def _initial_poses(rng: np.random.Generator) -> dict[str, FloatArray]:
-    """Return x, y [m] and yaw [rad] of each rover."""
+def _initial_poses(
+    distance: tuple[float, float], rng: np.random.Generator
+) -> dict[str, FloatArray]:
+    """Return x, y [m] and yaw [rad] of each rover, within distances [m] of the slot."""
     poses: dict[str, FloatArray] = {}
     for name in (MASTER, SLAVE):
         while name not in poses:
-            far, bearing = rng.uniform(_NEAREST, _FARTHEST), rng.uniform(-math.pi, math.pi)
+            far, bearing = rng.uniform(*distance), rng.uniform(-math.pi, math.pi)
             place = far * np.array([math.cos(bearing), math.sin(bearing)])
             if all(math.dist(place, other[:2]) >= _APART for other in poses.values()):
                 poses[name] = np.array([*place, rng.uniform(-math.pi, math.pi)])

@@ -34,6 +34,7 @@ from experiments.mission.scene import (
     CARD_PLACE,
     MASTER,
     SLAVE,
+    Field,
     MissionScene,
     draw_scene,
     roles,
@@ -76,6 +77,7 @@ class MissionTrial:
         realism: How far simulated robots and their sensors are from their drawings.
         only: Last stage that is run; empty for all.
         clearance: Distance between each of the card's edges and its groove [m].
+        hardness: How hard the field is to cross.
     """
 
     seed: int
@@ -85,6 +87,7 @@ class MissionTrial:
     realism: RealismName = "default"
     only: str = ""
     clearance: float = CARD_GUIDE.clearances[1]
+    hardness: Field = Field()
 
     @property
     def width(self) -> float:
@@ -405,7 +408,7 @@ def prepared(trial: MissionTrial, scene: MissionScene | None = None) -> Iterator
         scene: Scene; None for the one that the seed draws.
     """
     scene_rng, site_rng, team_rng = generators(trial.seed)
-    scene = scene or draw_scene(trial.width, scene_rng)
+    scene = scene or draw_scene(trial.width, scene_rng, trial.hardness)
     site = survey(scene, site_rng)
     modems = realism_of(trial.realism).modems
     lost = max(trial.loss, modems.packet_loss)
