@@ -1,8 +1,9 @@
-"""Command line: ``python -m experiments [NAME [options]]``."""
+"""Command line: ``fieldtwin [NAME [options]]``, or ``python -m experiments [NAME [options]]``."""
 
 import contextlib
 import difflib
 import importlib
+import importlib.metadata
 import os
 import sys
 import traceback
@@ -14,7 +15,7 @@ if sys.platform == "linux":
 
 from experiments.harness import catalogue
 from experiments.harness.catalogue import Experiment
-from experiments.harness.command_line import BAD_OPTIONS, complain, parse
+from experiments.harness.command_line import BAD_OPTIONS, complain, parse, program
 from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.output import Output
 from experiments.harness.storage import disk_errors
@@ -40,8 +41,11 @@ def main(
         0 when it ran, 1 when it failed, 2 on bad options, 130 when interrupted.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    if not words or words[0] in ("-h", "--help"):
+    if not words or words[0] in ("-h", "--help", "list"):
         print_list(experiments)
+        return 0
+    if words[0] == "--version":
+        print(f"fieldtwin {importlib.metadata.version('fieldtwin')}")
         return 0
     name, *rest = words
     try:
@@ -92,7 +96,7 @@ def print_list(experiments: Mapping[str, Experiment]) -> None:
     lines = [(each.name, f"{each.summary} [{each.thesis}]") for each in experiments.values()]
     lines += [(name, summary) for name, (_, summary) in catalogue.COMMANDS.items()]
     width = max((len(name) for name, _ in lines), default=0)
-    print("usage: python -m experiments NAME [options]   (NAME --help lists its options)\n")
+    print(f"usage: {program()} NAME [options]   (NAME --help lists its options)\n")
     for name, text in lines:
         print(f"{name:{width}}  {text}")
 

@@ -25,6 +25,7 @@ from twin.hardware.calibration.calibration import (
     calibration_path,
     calibration_text,
     load_calibration,
+    own_calibration_path,
     write_calibration,
 )
 from twin.hardware.calibration.procedure import (
@@ -53,7 +54,8 @@ class Options:
             [,calibration=FILE][,home=YAW:SHOULDER:ELBOW:WRIST]. With home [rad] the motors hold
             the arm there; without, it must hold itself.
         weight: Mass that is hung on the gripper [kg].
-        output: File to write the new calibration to; the one that was read unless given.
+        output: File to write the new calibration to; unless given calibration=FILE of the robot, or
+            else calibration/NAME.toml, where it is looked for first from then on.
     """
 
     robot: str
@@ -104,8 +106,9 @@ def main(arguments: Sequence[str]) -> int:
         raise ExperimentError(str(error)) from error
     except EOFError:
         raise ExperimentError("nobody answers; the calibration is as it was") from None
-    target = options.output or path
+    target = options.output or wiring.calibration or own_calibration_path(wiring.robot)
     try:
+        target.parent.mkdir(exist_ok=True)
         write_calibration(target, result.calibration)
     except OSError as error:
         # An hour of a person's work must not be lost.

@@ -6,15 +6,13 @@ import importlib.metadata
 import json
 import os
 import platform
-import re
 import subprocess
 import sys
-import tomllib
-from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Annotated
 
 import tyro
+from packaging.requirements import Requirement
 
 from experiments.doctor.findings import Finding
 from experiments.doctor.robot import examine_robot
@@ -23,7 +21,6 @@ from experiments.harness.command_line import parse
 from experiments.harness.contract import OptionError
 from experiments.harness.robot_option import wiring_of
 
-CHECKOUT = Path(__file__).resolve().parents[2]
 PROBE_TIMEOUT = 60.0  # [s]
 OLDEST_PYTHON = (3, 11)
 
@@ -75,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
 def _findings(options: DoctorOptions) -> Iterator[Finding]:
     """Examine the machine, then the robot if there is one."""
     yield from examine_python()
-    yield from examine_packages(pins(CHECKOUT))
+    yield from examine_packages(requirements())
     yield from examine_rendering()
     if options.robot is not None:
         yield from examine_robot(options.robot, options.patience)
@@ -92,33 +89,28 @@ def examine_python() -> list[Finding]:
     ]
 
 
-def pins(checkout: Path) -> dict[str, str]:
-    """Return the pinned version of each package that the project needs to run.
+def requirements() -> list[Requirement]:
+    """Return the packages that the project needs to run, as it was installed."""
+    needed = map(Requirement, importlib.metadata.requires("fieldtwin") or ())
+    return [each for each in needed if each.marker is None or each.marker.evaluate({"extra": ""})]
+
+
+def examine_packages(needed: Sequence[Requirement]) -> list[Finding]:
+    """Compare the installed packages with those that are needed.
 
     Args:
-        checkout: Folder of pyproject.toml.
-    """
-    with (checkout / "pyproject.toml").open("rb") as stream:
-        project = tomllib.load(stream)["project"]
-    pairs = (re.split(r"\[.*\]==|==", line, maxsplit=1) for line in project["dependencies"])
-    return {name: version for name, version in pairs}
-
-
-def examine_packages(wanted: Mapping[str, str]) -> list[Finding]:
-    """Compare the installed packages with the pinned ones.
-
-    Args:
-        wanted: Version by package name.
+        needed: Packages with their versions.
     """
     findings = []
-    for name, version in wanted.items():
+    for each in needed:
         try:
-            found = importlib.metadata.version(name)
+            found = importlib.metadata.version(each.name)
         except importlib.metadata.PackageNotFoundError:
-            findings.append(Finding(name, "not installed", "make setup"))
+            findings.append(Finding(each.name, "not installed", f"pip install '{each}'"))
             continue
-        remedy = "" if found == version else f"make setup (pinned to {version})"
-        findings.append(Finding(name, found, remedy))
+        fits = each.specifier.contains(found, prereleases=True)
+        remedy = "" if fits else f"pip install '{each}'"
+        findings.append(Finding(each.name, found, remedy))
     return findings
 
 
@@ -141,7 +133,6 @@ def examine_frame() -> list[Finding]:
     try:
         done = subprocess.run(
             [sys.executable, "-m", "experiments.doctor.render_probe"],
-            cwd=CHECKOUT,
             check=False,
             capture_output=True,
             text=True,

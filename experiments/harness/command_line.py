@@ -5,6 +5,7 @@ import io
 import re
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TypeVar
 
 import tyro
@@ -17,6 +18,11 @@ BAD_OPTIONS = 2
 BOX = re.compile(r"[╭╮╰╯│─]+")
 OWN = re.compile(r"^(Error parsing )?(\w*Options: )?")
 ADVICE = ("Perhaps you meant", "Similar", "Argument helptext", "For full helptext", "Got errors")
+
+
+def program() -> str:
+    """Return how this program was called."""
+    return "fieldtwin" if Path(sys.argv[0]).stem == "fieldtwin" else "python -m experiments"
 
 
 def parse(options_type: type[Parsed], name: str, summary: str, arguments: Sequence[str]) -> Parsed:
@@ -32,13 +38,13 @@ def parse(options_type: type[Parsed], name: str, summary: str, arguments: Sequen
         OptionError: If they are bad.
         SystemExit: After printing help.
     """
-    program = f"python -m experiments {name}"
+    command = f"{program()} {name}"
     messages = io.StringIO()
     try:
         with contextlib.redirect_stderr(messages):
             return tyro.cli(
                 options_type,
-                prog=program,
+                prog=command,
                 description=summary,
                 args=list(arguments),
                 config=(tyro.conf.FlagCreatePairsOff,),
@@ -46,7 +52,7 @@ def parse(options_type: type[Parsed], name: str, summary: str, arguments: Sequen
     except SystemExit as stop:
         if stop.code in (None, 0):
             raise
-        raise OptionError(f"{_one_line(messages.getvalue())}; see {program} --help") from None
+        raise OptionError(f"{_one_line(messages.getvalue())}; see {command} --help") from None
 
 
 def complain(message: object) -> None:

@@ -1,8 +1,11 @@
+import tomllib
+
 import pytest
+from packaging.requirements import Requirement
 
 from experiments.doctor import doctor
 from experiments.doctor import robot as doctor_robot
-from experiments.doctor.doctor import CHECKOUT, examine_packages, main, pins
+from experiments.doctor.doctor import examine_packages, main, requirements
 from experiments.doctor.robot import examine_robot
 from experiments.harness.contract import OptionError
 from twin.hardware.roboclaw.codec import Status
@@ -19,13 +22,15 @@ def test_doctor_is_content_here_and_names_renderer_and_checksum(capsys):
 
 
 def test_missing_and_wrong_packages_are_named_with_a_remedy():
-    found = examine_packages({"no-such-package": "1.0", "numpy": "0.1"})
+    found = examine_packages([Requirement("no-such-package>=1"), Requirement("numpy<0.2")])
     assert [finding.fatal for finding in found] == [True, True]
-    assert "make setup" in found[0].remedy and "0.1" in found[1].remedy
+    assert "pip install 'no-such-package>=1'" in found[0].remedy and "numpy<0.2" in found[1].remedy
 
 
-def test_pins_are_those_of_the_project():
-    assert pins(CHECKOUT)["mujoco"] == "3.17.0"
+def test_packages_are_those_that_the_project_says_it_needs():
+    with open("pyproject.toml", "rb") as stream:
+        project = tomllib.load(stream)["project"]
+    assert set(map(str, requirements())) == set(project["dependencies"])
 
 
 def test_missing_library_names_its_apt_package(monkeypatch, capsys):

@@ -40,14 +40,17 @@ __all__ = [
     "calibration_path",
     "check_age",
     "load_calibration",
+    "own_calibration_path",
     "read_calibration",
     "write_calibration",
 ]
 
 SCHEMA: Final = 1
 """Version of the file format; files of other versions are rejected."""
-FOLDER: Final = Path(__file__).parents[3] / "calibration"
-"""Folder of the calibration files."""
+FOLDER: Final = Path(__file__).parent
+"""Folder of the calibrations that come with the package: those of the emulated boards."""
+OWN_FOLDER: Final = Path("calibration")
+"""Folder of a user's own calibrations, in the working directory."""
 MOST_DAYS: Final = 365
 """Largest age of a section [days]."""
 TIMEOUT_STEP: Final = 0.1
@@ -124,8 +127,14 @@ class Calibration:
 
 
 def calibration_path(robot: str) -> Path:
-    """Return the path of a robot's calibration file."""
-    return FOLDER / f"{robot}.toml"
+    """Return the path of a robot's calibration file: of the user's own if there is one."""
+    own = own_calibration_path(robot)
+    return own if own.exists() else FOLDER / f"{robot}.toml"
+
+
+def own_calibration_path(robot: str) -> Path:
+    """Return the path of the user's own calibration file of a robot, which need not exist."""
+    return OWN_FOLDER / f"{robot}.toml"
 
 
 def load_calibration(
