@@ -2,7 +2,6 @@
 
 import contextlib
 import difflib
-import importlib
 import importlib.metadata
 import os
 import sys
@@ -16,7 +15,7 @@ if sys.platform == "linux":
 from experiments.harness import catalogue
 from experiments.harness.catalogue import Experiment
 from experiments.harness.command_line import BAD_OPTIONS, complain, parse, program
-from experiments.harness.contract import ExperimentError, OptionError
+from experiments.harness.contract import ExperimentError, OptionError, Options
 from experiments.harness.output import Output
 from experiments.harness.storage import disk_errors
 from experiments.harness.summary import print_summary
@@ -49,11 +48,14 @@ def main(
         return 0
     name, *rest = words
     try:
-        if name in catalogue.COMMANDS:
-            return importlib.import_module(catalogue.COMMANDS[name][0]).main(rest)
-        if name not in experiments:
-            raise OptionError(_unknown(name, [*experiments, *catalogue.COMMANDS]))
-        run_experiment(experiments[name], rest)
+        commands = {**experiments, **catalogue.COMMANDS}
+        if name not in commands:
+            raise OptionError(_unknown(name, list(commands)))
+        command = commands[name]
+        options = parse(command.options_type(), name, command.summary, rest)
+        if not isinstance(command, Experiment):
+            return command.load()(options)
+        run_experiment(command, options, rest)
     except (OptionError, ExperimentError, LinkError, RobotError) as error:
         complain(error)
         return BAD_OPTIONS if isinstance(error, OptionError) else FAILURE
@@ -67,21 +69,20 @@ def main(
     return 0
 
 
-def run_experiment(experiment: Experiment, arguments: Sequence[str]) -> None:
-    """Parse the options, run the experiment, write its results and print them.
+def run_experiment(experiment: Experiment, options: Options, arguments: Sequence[str]) -> None:
+    """Run an experiment, write its results and print them.
 
     Args:
         experiment: Entry of the catalogue.
-        arguments: Words after its name.
+        options: Its options.
+        arguments: Words that gave these.
 
     Raises:
-        OptionError: If the options are bad.
         ExperimentError: If the experiment reports that it is no success, and its results are
             written; if another run has the folder, or the disk refuses to write.
         Exception: What the experiment raised.
     """
-    options_type, run = experiment.load()
-    options = parse(options_type, experiment.name, experiment.summary, arguments)
+    run = experiment.load()
     output = Output(experiment.name, options, arguments)
     with contextlib.closing(output), disk_errors(output.directory):
         run(options, output)
@@ -94,7 +95,7 @@ def run_experiment(experiment: Experiment, arguments: Sequence[str]) -> None:
 def print_list(experiments: Mapping[str, Experiment]) -> None:
     """Print all experiments and commands, one line each."""
     lines = [(each.name, f"{each.summary} [{each.thesis}]") for each in experiments.values()]
-    lines += [(name, summary) for name, (_, summary) in catalogue.COMMANDS.items()]
+    lines += [(each.name, each.summary) for each in catalogue.COMMANDS.values()]
     width = max((len(name) for name, _ in lines), default=0)
     print(f"usage: {program()} NAME [options]   (NAME --help lists its options)\n")
     for name, text in lines:

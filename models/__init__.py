@@ -10,7 +10,7 @@
   there.
 - `card_and_slot`: the card and its slot (thesis chapter 5).
 - `compliant_base`: the plant of the simulation study (thesis chapter 2).
-- `blocks`: the work-piece of thesis figure 4-12.
+- `blocks`: the work-piece of thesis figure 4-12; `work_piece`: where its holes are.
 - `truss`: two rovers with a truss segment (thesis appendix A).
 - `braid`: the binary mechanism (thesis appendix E).
 - `render_pictures`: the pictures of the models' README files.

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from models.datasheets import CAMERA
+from models.work_piece import HOLES
 from perception.geometry.arrays import FloatArray
 
 CAMERA_NAME = "view"
@@ -73,7 +74,7 @@ class Arrangement:
     """
 
     blocks: tuple[Block, ...]
-    holes: tuple[tuple[float, float], ...] = ((0.0, 0.0), (0.06, -0.035), (0.06, 0.035))
+    holes: tuple[tuple[float, float], ...] = HOLES
     hole_radius: float = 0.008
     half: tuple[float, float] = (0.10, 0.07)
 

@@ -10,7 +10,6 @@ from models.compose import FLAT, FieldConfig, RobotPlacement
 from twin.camera import StereoConfig
 from twin.clock import Clock, WallClock
 from twin.hardware.connect_boards import (
-    Wiring,
     emulated_robots,
     quantised_robots,
     watched,
@@ -23,26 +22,14 @@ from twin.hardware.emulator.scene import EmulatedScene, SceneConfig, simulate
 from twin.hardware.radio.channel import SerialChannel
 from twin.hardware.radio.framed_radio import FramedConfig, FramedLink
 from twin.hardware.serial_link import SerialLink
+from twin.hardware.wiring import Wiring, wirings_of
 from twin.link import Link
-from twin.optics.realism import IDEAL_CAMERA
-from twin.realism import Realism, RealismName, make_robots, realism_of
+from twin.optics.realism import IDEAL_CAMERA, RealismName
+from twin.realism import Realism, make_robots, realism_of
 from twin.robot import Robot
 from twin.robot_clock import give_clocks
 from twin.servo import SERVO_PERIOD
 from twin.simulation import Simulation
-
-TARGETS: Mapping[str, str] = {
-    "sim": "simulated rovers, sensors as in the datasheets",
-    "quantised": "simulated rovers that count as their boards do, without wires",
-    "emulated": "boards emulated in another process, over their real protocols",
-    "serial:PORT[,analogue=PORT][,wrench=HOST][,stereo=LEFT:RIGHT][,robot=NAME]"
-    "[,calibration=FILE][,most_days=N][,home=YAW:SHOULDER:ELBOW:WRIST][,radio=PORT]"
-    "[,slow_down=N][,serial:PORT...]": (
-        "real boards; home: the arm's angles in its jig [rad]; slow_down: of emulated boards; each "
-        "further robot begins with serial:"
-    ),
-}
-"""Targets of `connect`, and what each is."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,23 +137,6 @@ def connect(
     links = virtual_links(list(bare.robots), lambda: bare.clock.time, radio_rng, modems)
     clocked = bare.robots if chosen.clock is None else give_clocks(bare.robots, chosen.clock, seed)
     return dataclasses.replace(bare, robots=clocked, links=links)
-
-
-def wirings_of(target: str) -> tuple[Wiring, ...]:
-    """Return where a target's real boards are, robot by robot; nothing if it has none.
-
-    Args:
-        target: One of `TARGETS`.
-
-    Raises:
-        ValueError: If it is unknown or misspelt.
-    """
-    word, colon, words = target.partition(":")
-    if word == "serial" and colon:
-        return Wiring.parse_all(words)
-    if target not in TARGETS:
-        raise ValueError(f"unknown robot {target!r}; available: {', '.join(TARGETS)}")
-    return ()
 
 
 def _connect_quantised(config: SceneConfig) -> Connection:

@@ -4,7 +4,6 @@ import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Literal
 
 import numpy as np
 
@@ -25,10 +24,9 @@ from models.datasheets import (
 )
 from twin.description import RobotDescription
 from twin.hardware.emulator.modem import ModemConfig
-from twin.optics.realism import CAMERA_SETS, IDEAL_CAMERA, CameraRealism
+from twin.optics.realism import CAMERA_SETS, IDEAL_CAMERA, CameraRealism, RealismName
 from twin.sensors import DATASHEET, SensorSuite, with_errors
 
-RealismName = Literal["ideal", "default", "harsh"]
 _MAKING, _ERRORS = 11, 12  # Streams of random numbers of a connection's seed.
 
 

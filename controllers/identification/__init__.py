@@ -20,3 +20,21 @@ The arm on known ground, section 6.2:
 - `payload`: what the gripper holds (section 6.2 c).
 - `friction`: friction under the wheels and onset of slip (section 6.2 b).
 """
+
+# Names of the excitations, apart from what they do: options need no more.
+
+PLANT_CRITERIA = (
+    "information",
+    "literal",
+    "condition",
+    "condition_scaled",
+    "d_optimal",
+    "a_optimal",
+)
+"""Criteria by which the simplified plant's next excitation is chosen; `excitation.CRITERIA`."""
+ROVER_CRITERIA: tuple[str, ...] = ("information", "d_optimal", "a_optimal")
+"""Criteria by which the complete rover's next excitation is chosen; `pitch.CRITERIA`."""
+EXCITATIONS = ("constant", "random", *PLANT_CRITERIA)
+"""Excitations of the simplified plant."""
+ROVER_EXCITATIONS = ("constant", "random", *ROVER_CRITERIA)
+"""Excitations of the complete rover."""

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from controllers.identification import PLANT_CRITERIA
 from controllers.identification.arm_motion import (
     ArmLimits,
     ArmState,
@@ -145,14 +146,13 @@ def _condition(state: EstimationState, scale: FloatArray) -> Residuals:
     return residuals
 
 
-CRITERIA: dict[str, Criterion] = {
-    "information": information,
-    "literal": literal,
-    "condition": condition,
-    "condition_scaled": condition_scaled,
-    "d_optimal": d_optimal,
-    "a_optimal": a_optimal,
-}
+CRITERIA: dict[str, Criterion] = dict(
+    zip(
+        PLANT_CRITERIA,
+        (information, literal, condition, condition_scaled, d_optimal, a_optimal),
+        strict=True,
+    )
+)
 
 
 class Planner:

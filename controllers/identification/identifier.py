@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from controllers.identification import EXCITATIONS
 from controllers.identification.arm_motion import (
     CONSTANT,
     MODES,
@@ -28,8 +29,6 @@ from controllers.identification.output_error import Estimate, OutputError, Windo
 from controllers.identification.parameters import COUNT, Prior
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_choice
-
-EXCITATIONS = ("constant", "random", *CRITERIA)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -18,6 +18,7 @@ from collections.abc import Callable, Generator, Iterator
 import numpy as np
 from numpy.typing import ArrayLike
 
+from controllers.identification import ROVER_CRITERIA
 from controllers.identification.information import BITS, mutual_information
 from controllers.identification.pitch_model import (
     CALIBRATED,
@@ -476,4 +477,4 @@ def a_optimal(estimate: PitchEstimate) -> Callable[[FloatArray], FloatArray]:
     return residuals
 
 
-CRITERIA = {"information": information, "d_optimal": d_optimal, "a_optimal": a_optimal}
+CRITERIA = dict(zip(ROVER_CRITERIA, (information, d_optimal, a_optimal), strict=True))

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.optimize
 
+from controllers.identification import ROVER_EXCITATIONS
 from controllers.identification.arm_motion import (
     CONSTANT,
     ArmLimits,
@@ -32,8 +33,6 @@ from perception.geometry.checks import check_choice
 from perception.geometry.gravity import GRAVITY
 from twin.description import RobotDescription
 from twin.robot import ArmMode, Command, Observation, RobotError
-
-EXCITATIONS = ("constant", "random", *CRITERIA)
 
 ROVER_ARM_LIMITS = ArmLimits(
     amplitude=(0.05, 0.7), offset=(0.75, np.pi / 2), rate=4.0, acceleration=12.0
@@ -120,7 +119,7 @@ class RoverIdentifierConfig:
     Attributes:
         robot: Name of the robot that it drives.
         arm: Known mass properties of its arm.
-        excitation: One of `EXCITATIONS`.
+        excitation: One of `ROVER_EXCITATIONS`.
         limits: Limits of the shoulder's motion.
         sensors: Sampling and noise of the sensors.
         prior: Prior of the five parameters.
@@ -151,7 +150,7 @@ class RoverIdentifierConfig:
         Raises:
             ValueError: Naming it and those that there are.
         """
-        check_choice("excitation", self.excitation, EXCITATIONS)
+        check_choice("excitation", self.excitation, ROVER_EXCITATIONS)
 
     @property
     def total(self) -> float:

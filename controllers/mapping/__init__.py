@@ -31,3 +31,11 @@ Exchange by radio:
 - `pose_sharing`: a rover that shares its dead reckoning and its wrench.
 - `map_sharing`: two robots' elevation maps, shared tile by tile within a budget of bytes.
 """
+
+from typing import Literal, TypeAlias, get_args
+
+Method: TypeAlias = Literal[
+    "random", "raster", "max_new", "min_old", "information", "frontier", "rate"
+]
+METHODS: tuple[Method, ...] = get_args(Method)
+"""Names of the methods of planar robots, apart from what they do: options need no more."""

@@ -22,6 +22,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from scipy import ndimage
 
+from controllers.mapping import METHODS, Method
 from controllers.mapping.planar_situation import (
     Situation,
     believe,
@@ -40,11 +41,7 @@ from perception.planar.information import (
 from perception.planar.map import PlanarMap
 from perception.planar.raycast import RangeSensor, expected_view, fan, ray_sums, sector_sums
 
-Method: TypeAlias = Literal[
-    "random", "raster", "max_new", "min_old", "information", "frontier", "rate"
-]
 Utility: TypeAlias = Literal["going_rate", "fixed"]
-METHODS: tuple[Method, ...] = get_args(Method)
 UTILITIES: tuple[Utility, ...] = get_args(Utility)
 
 NEAR = 2.0

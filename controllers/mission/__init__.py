@@ -2,6 +2,7 @@
 
 In reading order:
 
+- `config`: its stages, and what can be left out.
 - `site`: the drawing of slot, panel and card, and what is known of initial poses; the roles.
 - `belief`: estimates of one rover.
 - `navigator`: where a rover is, what stands on the ground about it, and how it drives around that.

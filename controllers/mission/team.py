@@ -1,6 +1,5 @@
 """Both rovers of a mission; the controller that the loop runs."""
 
-import dataclasses
 from collections.abc import Iterator, Mapping
 
 import numpy as np
@@ -9,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 from controllers.insertion.camera_station import CameraStation, best_camera_station
 from controllers.insertion.card_arm import CardArm
 from controllers.mission.belief import MissionBelief
+from controllers.mission.config import STAGES, MissionConfig
 from controllers.mission.radio import MissionRadio
 from controllers.mission.robot_mission import RobotMission
 from controllers.mission.site import MissionRoles, SiteDrawing
@@ -22,31 +22,12 @@ from controllers.placement.task import PlacementError
 from twin.link import Link
 from twin.robot import Command, Observation
 
-OMITTABLE = ("paths", "occluders", "panel", "guard", "cooperation")
-"""What an ablation takes away: points of the map that paths avoid, or those by which the camera
-station is chosen; the panel, once it has localized a rover; the guard against tipping over; or what
-the master sees of card and slot (the slave goes by its own map alone)."""
-STAGES = ("identify", "search", "map", "place", "approach", "insert")
-"""Stages in their order; both rovers end each together."""
 _ROOMS = (0.12, 0.02, None)
 """Room about the camera station that is wanted, and what is content with if there is none [m]: a
 rover slides as it turns there."""
 _NEAR_SLOT, _NEAR_STATION = (0.04, 0.07), (0.06, 1.8)
 """Tolerances of both rovers' places: distance [m] and heading [rad]. The arm makes up for the
 heading of the one that watches."""
-
-
-@dataclasses.dataclass(frozen=True)
-class MissionConfig:
-    """Configuration of a mission.
-
-    Attributes:
-        without: Part of `OMITTABLE` that is left out; empty for none.
-        scans: Number of views with which the master maps the site.
-    """
-
-    without: str = ""
-    scans: int = 5
 
 
 class MissionTeam:

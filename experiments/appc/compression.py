@@ -5,13 +5,13 @@ rendered in the field of chapter 3 and on noise. Then the measure that the thesi
 the entropy of a picture coded by method 5, chooses views beside the measure of chapter 3.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from scipy.stats import wilcoxon
 
+from experiments.appc.compression_options import Options
 from experiments.appc.figures import draw_methods, draw_predictors, draw_views
 from experiments.appc.pictures import (
     DRAWINGS,
@@ -26,15 +26,11 @@ from experiments.appc.pictures import (
     smoothed,
 )
 from experiments.appc.views import (
-    KNOWN,
     MEASURES,
-    QUICK_KNOWN,
     ViewComparison,
     ViewTrial,
     compare_views,
 )
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -69,39 +65,9 @@ TABLE_C_1_SIGMA = (
 )
 """Their deviations."""
 NOISES, QUICK_NOISES = 100, 20
-VIEWS, QUICK_VIEWS = 16, 6
 SMALL_BOUND, NOISE_BOUND = 0.05, 0.005
 REAL = ("bundled", "photographs", "rendered")
 """Sets of pictures that Table C-1 is measured on; the first is held against the thesis."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of appc-compression.
-
-    Attributes:
-        views: Number of views taken in each scene (default 16; with --quick, 6).
-    """
-
-    views: int | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse too few views to choose among.
-
-        Raises:
-            OptionError: Naming the number.
-        """
-        super().__post_init__()
-        if self.views is not None and self.count() < max(self.known()) + 2:
-            raise OptionError(f"--views {self.views}: expected at least {max(self.known()) + 2}")
-
-    def count(self) -> int:
-        """Return how many views are taken in a scene."""
-        return self.views if self.views is not None else QUICK_VIEWS if self.quick else VIEWS
-
-    def known(self) -> tuple[int, ...]:
-        """Return after how many views the others are rated."""
-        return QUICK_KNOWN if self.quick else KNOWN
 
 
 def run(options: Options, output: Output) -> None:

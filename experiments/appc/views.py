@@ -49,8 +49,6 @@ expects, as it is and coded by method 5; of a picture of the chance that a ray e
 coded; and of the picture that the camera takes, as it is and coded."""
 PICTURE = 256
 """Edge of the pictures whose entropy is taken [px]."""
-KNOWN, QUICK_KNOWN = (1, 2, 4, 6), (1, 3)
-"""Views in the map when the others are rated."""
 EYES, SEEN, HEIGHTS = (-1.1, 1.1), (-0.9, 0.9), (0.25, 0.6)
 """Ranges of the head's position and of its target along x and y, and of its height [m]."""
 NOT_DOWN = 0.3

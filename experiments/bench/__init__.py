@@ -1,6 +1,6 @@
 """Speed and accuracy, measured against a named peer in the same run.
 
-- `bench`: the experiment ``bench``: which benchmarks, in which order.
+- `bench`: the experiment ``bench``: which benchmarks, in which order; its options beside it.
 - `loop`: the control loop beside bare physics.
 - `mission`: CPU time of physics, drawing and perception in a mission's search.
 - `identification`: our estimator beside ``mujoco.sysid``.
@@ -13,6 +13,4 @@
 - `compression`: the nine predictors beside NumPy.
 - `elevation_tiles`: tiles of an elevation map beside zlib, whole and damaged.
 - `scaling`: how the cost grows with the size of a problem.
-- `echo_probe`: a process that echoes, the least that boards behind a port can cost.
-- `table`: the table of docs/benchmarks.md.
 """

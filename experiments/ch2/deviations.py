@@ -9,7 +9,8 @@ import numpy as np
 
 from controllers.identification.arm_deviations import ArmDeviations
 from models.datasheets import FORCE_TORQUE
-from twin.realism import RealismName, realism_of
+from twin.optics.realism import RealismName
+from twin.realism import realism_of
 
 _UNIFORM = 1.0 / math.sqrt(3.0)
 """Standard deviation over the largest error of what is uniform to either side."""

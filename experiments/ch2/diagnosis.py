@@ -8,7 +8,7 @@ spins each wheel alone. The controllers know the drawing, and how unchanged robo
 
 import dataclasses
 from collections.abc import Sequence
-from typing import ClassVar, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -28,8 +28,8 @@ from controllers.sensing.diagnosis import (
     tyre_changes,
 )
 from controllers.sensing.wheel_grip import WheelGripProbe, WheelGrips
+from experiments.ch2.diagnosis_options import Options
 from experiments.ch5 import insertion_scene
-from experiments.harness import contract
 from experiments.harness.intervals import distribution, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -53,13 +53,6 @@ PLACES = ((-0.03, 0.03), (-0.16, -0.06))  # Ranges of the box's centre on the re
 WEAKER = 0.5  # Stiffness, and friction of one tyre, over that when made.
 DETECTED, FALSE_ALARMS = 0.9, 0.05
 _LONGEST = 20.0  # Longest time for the wheels [s].
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
-    """Options of the diagnosis."""
-
-    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
 
 
 @dataclasses.dataclass(frozen=True)

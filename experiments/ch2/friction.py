@@ -8,7 +8,6 @@ inclinometer and the tachometers only; the truth is for scoring alone.
 
 import dataclasses
 from collections.abc import Sequence
-from typing import ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -23,8 +22,8 @@ from controllers.identification.friction import (
 )
 from controllers.kinematics.serial_chain import SerialChain
 from experiments.ch2.deviations import arm_deviations
+from experiments.ch2.friction_options import Options
 from experiments.ch2.payload import JUDGED, judge_errors, run_recorded, sensing
-from experiments.harness import contract
 from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
@@ -34,7 +33,8 @@ from models.compose import WHEELS, FieldConfig, RobotPlacement, load_part
 from twin.connect import connect
 from twin.describe import describe_rover
 from twin.description import RobotDescription
-from twin.realism import RealismName, make_robots
+from twin.optics.realism import RealismName
+from twin.realism import make_robots
 
 ROBOT = "rover1"
 FRICTIONS = (0.2, 0.9)
@@ -44,19 +44,6 @@ CALIBRATION, SWEEP = 20.0, 6.0  # Slow motions of arms that are not their drawin
 ERROR_BOUND = 15.0  # [%]
 HOLDS_BOUND = 0.95
 FIELD = FieldConfig(texture_pixels=64)
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
-    """Options of the friction estimation.
-
-    Attributes:
-        realism: How far robots and their sensors are from their drawings: ideal, default or harsh;
-            with any but ideal each seed has a robot of its own.
-    """
-
-    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
-    realism: RealismName = "default"
 
 
 def run(options: Options, output: Output) -> None:

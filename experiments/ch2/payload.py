@@ -8,7 +8,6 @@ observations only, and knows the drawing and its tolerances; the truth is used f
 import contextlib
 import dataclasses
 from collections.abc import Sequence
-from typing import ClassVar
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -24,7 +23,7 @@ from controllers.identification.payload import (
 from controllers.kinematics.rigid_motion import NAMES, inertial_parameters
 from controllers.kinematics.serial_chain import SerialChain
 from experiments.ch2.deviations import arm_deviations
-from experiments.harness import contract
+from experiments.ch2.payload_options import Options
 from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction, success_fraction
 from experiments.harness.output import Output
@@ -39,7 +38,7 @@ from twin.describe import describe_rover
 from twin.description import RigidBody
 from twin.loop import LoopRecorder
 from twin.loop import run as run_loop
-from twin.realism import RealismName
+from twin.optics.realism import RealismName
 from twin.recording.record import Recorder
 from twin.robot import Controller
 
@@ -56,31 +55,6 @@ COVERAGE_BOUND = (
 FIELD = FieldConfig(texture_pixels=64)
 JUDGED = ("median", "every run")
 """Errors of all runs that are held to a bound."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
-    """Options of the payload identification.
-
-    Attributes:
-        duration: Time for which the arm swings, with the box and, if made, before without [s].
-        realism: How far robots and their sensors are from their drawings: ideal, default or harsh;
-            with any but ideal each seed has a robot of its own, which swings empty first.
-    """
-
-    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
-    duration: float = 30.0
-    realism: RealismName = "default"
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be run.
-
-        Raises:
-            OptionError: If the robot is unknown or the swing too short.
-        """
-        super().__post_init__()
-        if not 3.0 <= self.duration <= 600.0:
-            raise contract.OptionError(f"--duration: expected 3 to 600 s, got {self.duration}")
 
 
 def run(options: Options, output: Output) -> None:

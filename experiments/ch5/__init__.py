@@ -2,7 +2,7 @@
 
 Two rovers (``ch5-insertion``, Table 5-1, figures 5-11 to 5-14):
 
-- `insertion`: options, measures and checks.
+- `insertion`: measures and checks; its options beside it.
 - `insertion_scene`, `insertion_setting`, `insertion_faults`: scene, robots and their faults.
 - `insertion_identify`: drive in which a rover identifies its slip.
 - `insertion_trial`: one insertion, scored by the truth.

@@ -21,18 +21,15 @@ from experiments.ch5.insertion_figures import (
     draw_table,
 )
 from experiments.ch5.insertion_film import film_trial
+from experiments.ch5.insertion_options import PARTS, Options
 from experiments.ch5.insertion_scene import TOUCH
 from experiments.ch5.insertion_setting import NOISE_DB, InsertionTrial
 from experiments.ch5.insertion_trial import InsertionOutcome, run_trial
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
 from experiments.harness.intervals import Distribution, distribution, mcnemar, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.card_and_slot.guides import width_of
 from models.datasheets import CARD_AND_SLOT, CARD_GUIDE, INCH
-from perception.markers.bodies import DETECTORS
-from twin.realism import RealismName
 
 PLACEMENTS = ("optimal", "random")
 THESIS = {
@@ -46,40 +43,9 @@ MOST_FORCE = 10.0
 SEATED, TOUCHED, SEATING_FORCE = 0.9, 0.8, 20.0
 """Bars of the insertion into guides: success at the medium clearance, share that touches them, and
 95th percentile of the largest contact forces [N]."""
-PARTS = ("table", "impossible", "noise", "faults", "guides")
 Results = list[InsertionOutcome]
 Cells = dict[tuple[str, float], Results]
 Shares = dict[tuple[str, float], Distribution]
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of ch5-insertion.
-
-    Attributes:
-        detector: Marker detector: blob, or tht for the thesis' own.
-        realism: How far robots, their sensors and cameras are from their drawings: ideal, default
-            or harsh; with any but ideal each seed has robots of its own.
-        parts: Which parts to run: table, impossible, noise, faults, guides (unless said, all).
-    """
-
-    detector: str = "blob"
-    realism: RealismName = "default"
-    parts: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse unknown detectors and parts.
-
-        Raises:
-            OptionError: Naming it and the known ones.
-        """
-        super().__post_init__()
-        if self.detector not in DETECTORS:
-            raise OptionError(
-                f"--detector {self.detector}: expected one of {', '.join(sorted(DETECTORS))}"
-            )
-        if unknown := set(self.parts) - set(PARTS):
-            raise OptionError(f"--parts {min(unknown)}: expected some of {', '.join(PARTS)}")
 
 
 def run(options: Options, output: Output) -> None:

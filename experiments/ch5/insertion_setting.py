@@ -52,15 +52,8 @@ from twin.camera import StereoConfig
 from twin.describe import describe_rover
 from twin.hardware.emulator.modem import virtual_links
 from twin.link import Link
-from twin.optics.realism import CameraRealism
-from twin.realism import (
-    Realism,
-    RealismName,
-    as_stated,
-    make_robots,
-    realism_of,
-    sensor_suites,
-)
+from twin.optics.realism import CameraRealism, RealismName
+from twin.realism import Realism, as_stated, make_robots, realism_of, sensor_suites
 from twin.robot import Robot
 from twin.robot_clock import give_clocks
 from twin.simulation import Simulation

@@ -1,19 +1,15 @@
 """``python -m experiments calibrate``: a person calibrates a real robot's inclinometer (D-1)."""
 
 import contextlib
-import dataclasses
 import datetime
 import math
 import time
 from collections.abc import Generator, Sequence
-from pathlib import Path
-from typing import Annotated
 
 import numpy as np
-import tyro
 from rich.progress import track
 
-from experiments.harness.command_line import parse
+from experiments.commands.calibrate_options import Options
 from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.robot_option import wiring_of
 from twin.clock import Clock, WallClock
@@ -42,49 +38,15 @@ from twin.servo import SERVO_PERIOD
 
 MEASURING = 2.0
 """Time over which a reading is averaged [s]."""
-SUMMARY = "calibrate a real robot's inclinometer by weighing it on wedges (Table D-1)"
 
 
-@dataclasses.dataclass(frozen=True)
-class Options:
-    """Options of the calibration of a real robot.
-
-    Attributes:
-        robot: Boards of the robot: serial:PORT,analogue=PORT,wrench=HOST[,robot=NAME]
-            [,calibration=FILE][,home=YAW:SHOULDER:ELBOW:WRIST]. With home [rad] the motors hold
-            the arm there; without, it must hold itself.
-        weight: Mass that is hung on the gripper [kg].
-        output: File to write the new calibration to; unless given calibration=FILE of the robot, or
-            else calibration/NAME.toml, where it is looked for first from then on.
-    """
-
-    robot: str
-    weight: float = 0.5
-    output: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-
-    def __post_init__(self) -> None:
-        """Refuse robots without the sensors, and weights that are none.
-
-        Raises:
-            OptionError: Naming the option.
-        """
-        wiring = wiring_of(self.robot)
-        if not (wiring.analogue and wiring.wrench):
-            raise OptionError(f"--robot {self.robot}: needs analogue=PORT and wrench=HOST")
-        if not 0.05 <= self.weight <= 5.0:
-            raise OptionError(f"--weight: expected 0.05 to 5 kg, got {self.weight}")
-        if self.output is not None and not self.output.parent.is_dir():
-            raise OptionError(f"--output {self.output}: there is no folder {self.output.parent}")
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Lead a person through the weighings, and write the file.
+def run(options: Options) -> int:
+    """Lead a person through the weighings, write the file and return 0.
 
     Raises:
-        OptionError: If the options are bad, or the calibration is damaged or another robot's.
+        OptionError: If the calibration is damaged or another robot's.
         ExperimentError: If robot or readings do not allow it; the file is as it was.
     """
-    options = parse(Options, "calibrate", SUMMARY, arguments)
     wiring = wiring_of(options.robot)
     path = wiring.calibration or calibration_path(wiring.robot)
     try:

@@ -1,7 +1,7 @@
 """``python -m experiments doctor``: is everything here that the experiments need?"""
 
 import ctypes
-import dataclasses
+import importlib
 import importlib.metadata
 import json
 import os
@@ -9,17 +9,12 @@ import platform
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from typing import Annotated
 
-import tyro
 from packaging.requirements import Requirement
 
+from experiments.doctor.doctor_options import Options
 from experiments.doctor.findings import Finding
-from experiments.doctor.robot import examine_robot
 from experiments.harness import provenance
-from experiments.harness.command_line import parse
-from experiments.harness.contract import OptionError
-from experiments.harness.robot_option import wiring_of
 
 PROBE_TIMEOUT = 60.0  # [s]
 OLDEST_PYTHON = (3, 11)
@@ -34,33 +29,8 @@ GL_LIBRARIES = {
 MESA_DRIVERS = "libgl1-mesa-dri"
 
 
-@dataclasses.dataclass(frozen=True)
-class DoctorOptions:
-    """Options of the doctor.
-
-    Attributes:
-        robot: Robot to examine too, before it moves: serial:PORT[,NAME=VALUE...], or emulated.
-        patience: Longest wait for a person at the e-stop [s].
-    """
-
-    robot: Annotated[str | None, tyro.conf.arg(metavar="TARGET")] = None
-    patience: float = 30.0
-
-    def __post_init__(self) -> None:
-        """Refuse a wait that is none, and robots without boards.
-
-        Raises:
-            OptionError: Naming the option.
-        """
-        if not 0.0 < self.patience <= 3600.0:
-            raise OptionError(f"--patience: expected 0 to 3600 s, got {self.patience}")
-        if self.robot not in (None, "emulated"):
-            wiring_of(self.robot, ("emulated", "serial"))
-
-
-def main(arguments: Sequence[str]) -> int:
+def run(options: Options) -> int:
     """Print the findings; return 1 if something required is missing, else 0."""
-    options = parse(DoctorOptions, "doctor", "What is here and what is missing.", arguments)
     failed = 0
     for finding in _findings(options):
         print(finding.line, flush=True)
@@ -69,13 +39,15 @@ def main(arguments: Sequence[str]) -> int:
     return 1 if failed else 0
 
 
-def _findings(options: DoctorOptions) -> Iterator[Finding]:
+def _findings(options: Options) -> Iterator[Finding]:
     """Examine the machine, then the robot if there is one."""
     yield from examine_python()
     yield from examine_packages(requirements())
     yield from examine_rendering()
     if options.robot is not None:
-        yield from examine_robot(options.robot, options.patience)
+        # Only now: what it imports may be what is missing.
+        robot = importlib.import_module("experiments.doctor.robot")
+        yield from robot.examine_robot(options.robot, options.patience)
 
 
 def examine_python() -> list[Finding]:

@@ -18,12 +18,13 @@ from twin.hardware.calibration.calibration import (
     calibration_path,
     read_calibration,
 )
-from twin.hardware.connect_boards import Wiring, emulated_wiring, open_boards
+from twin.hardware.connect_boards import emulated_wiring, open_boards
 from twin.hardware.emulator.faults import RobotFault
 from twin.hardware.emulator.process import EmulatorProcess
 from twin.hardware.emulator.scene import SceneConfig
 from twin.hardware.roboclaw.codec import BoardCommand, Status
 from twin.hardware.serial_link import LinkError
+from twin.hardware.wiring import Wiring
 from twin.robot import Channel, Observation, RobotError
 from twin.servo import SERVO_PERIOD
 

@@ -1,14 +1,11 @@
-"""Cells of ``mission-envelope``: axes, their levels, and the knowledge that should matter there.
-
-Insertions begin where missions had left the rovers; what makes a field harder takes whole missions.
-"""
+"""Cells of ``mission-envelope``, and which of them are confirmed."""
 
 import dataclasses
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from experiments.ch5.insertion_setting import Hardship, InsertionTrial
+from experiments.envelope.axes import AXES
 from experiments.mission.scene import Field
 from experiments.mission.trial import MissionTrial
 from models.card_and_slot.guides import width_of
@@ -21,47 +18,6 @@ are at least."""
 POOR = 0.5
 """Loss from which on a cell of whole missions is."""
 _NEAREST = {8.0: 3.0, 10.0: 8.0}  # Nearest initial pose of each farthest one [m].
-
-
-@dataclasses.dataclass(frozen=True)
-class Axis:
-    """One way in which an insertion, or a whole mission, becomes harder.
-
-    Attributes:
-        title: What varies, with its unit.
-        levels: Its values, the last the hardest; the first is the default, which whole missions
-            leave out: `mission` runs it.
-        knowledge: What is left out there, some of what can be, what should matter most first.
-        scale: Value in SI units over a level.
-        whole: Whether it takes whole missions.
-    """
-
-    title: str
-    levels: tuple[float, ...]
-    knowledge: tuple[str, ...]
-    scale: float = 1.0
-    whole: bool = False
-
-
-AXES: Mapping[str, Axis] = {
-    "springs": Axis("slave's springs / drawn", (1.0, 0.5, 0.3, 0.2), ("identification", "force")),
-    "left_springs": Axis("its left springs / right", (1.0, 0.3), ("identification", "force")),
-    "load": Axis("load on its base [kg]", (0.0, 1.0, 2.0, 4.0), ("identification", "force")),
-    "clearance": Axis("clearance [mm]", (0.8, 1.6, 0.4),
-                      ("force", "replanning", "placement", "cooperation"), 1e-3),
-    "relief": Axis("relief [mm]", (20.0, 40.0, 60.0), ("force", "replanning", "placement"), 1e-3),
-    "slope": Axis("slope across [deg]", (0.0, 5.0, 10.0, 15.0), ("force", "identification"),
-                  math.radians(1.0)),
-    "errors": Axis("sensors' errors / default", (1.0, 2.0, 4.0), ("force", "identification")),
-    "head_errors": Axis("heads' errors / default", (1.0, 3.0, 6.0), ("force", "placement")),
-    "delay": Axis("delay of vision [s]", (0.0, 0.5, 1.0), ("force", "replanning")),
-    "loss": Axis("radio's loss", (0.0, 0.2, 0.5), ("replanning", "force")),
-    "clutter": Axis("rocks and blocks / default", (0.0, 2.0), ("paths",), whole=True),
-    "friction": Axis("least friction", (0.2,), ("panel",), whole=True),
-    "distance": Axis("farthest initial pose [m]", (10.0,), ("paths",), whole=True),
-}  # fmt: skip
-"""Axes by name: those of insertions but the clearance are fields of `Hardship`, the others of
-`Field`."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from experiments.ch5.insertion_trial import InsertionOutcome, run_trial
-from experiments.envelope.cells import AXES, Cell, cells_of, chosen
+from experiments.envelope.axes import AXES
+from experiments.envelope.cells import Cell, cells_of, chosen
+from experiments.envelope.envelope_options import Options
 from experiments.envelope.figures import draw_envelope
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
 from experiments.harness.intervals import Distribution, holm, mcnemar, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -31,32 +31,6 @@ _KINDS: tuple[tuple[str, bool, Callable[[Any], Any]], ...] = (
 )
 Outcomes = Sequence[InsertionOutcome | MissionResult]
 Results = dict[Cell, Outcomes]
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of mission-envelope.
-
-    Attributes:
-        axes: Axes to run (unless said, all).
-    """
-
-    axes: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse unknown axes.
-
-        Raises:
-            OptionError: Naming it and the known ones.
-        """
-        super().__post_init__()
-        if unknown := set(self.axes) - set(AXES):
-            raise OptionError(f"--axes {min(unknown)}: expected some of {', '.join(AXES)}")
-
-    @property
-    def chosen_axes(self) -> tuple[str, ...]:
-        """Names of the axes to run."""
-        return self.axes or (("clearance",) if self.quick else tuple(AXES))
 
 
 def run(options: Options, output: Output) -> None:

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from experiments.envelope.cells import AXES, Cell
+from experiments.envelope.axes import AXES
+from experiments.envelope.cells import Cell
 from experiments.harness.intervals import Distribution, error_bars
 
 COLOURS = {

@@ -5,34 +5,51 @@ import importlib
 from collections.abc import Callable
 from typing import Any
 
-from experiments.harness.contract import Options
-from experiments.harness.output import Output
-
 
 @dataclasses.dataclass(frozen=True)
-class Experiment:
-    """An experiment's entry in the catalogue.
+class Command:
+    """A command's entry in the catalogue.
 
-    The module holds a frozen dataclass ``Options``, derived from `Options`, and a function
-    ``run(options, output)``. It is imported only when the experiment is needed, so that the list
-    of experiments appears at once.
+    The module holds a function ``run``. Its options are a frozen dataclass ``Options`` in a module
+    of their own, which imports no simulator, so that help appears at once. Both are imported only
+    when the command is needed.
 
     Attributes:
-        name: Name on the command line and of the result folder.
+        name: Name on the command line.
         summary: One line for the list.
-        thesis: The thesis element that it reproduces, for instance "Table 2-1, figures 2-4, 2-5".
         module: Import path of the module.
+        options: Import path of that of the options; empty for `module` with ``_options`` behind it.
     """
 
     name: str
     summary: str
-    thesis: str
     module: str
+    options: str = dataclasses.field(default="", kw_only=True)
 
-    def load(self) -> tuple[type[Options], Callable[[Any, Output], None]]:
-        """Import the module and return its options type and its run function."""
-        module = importlib.import_module(self.module)
-        return module.Options, module.run
+    def options_type(self) -> type[Any]:
+        """Import the module of the options and return their type."""
+        return importlib.import_module(self.options or f"{self.module}_options").Options
+
+    def load(self) -> Callable[..., Any]:
+        """Import the module and return its function ``run``.
+
+        A command's takes the options and returns the exit status; an experiment's takes the options
+        and its `Output`.
+        """
+        return importlib.import_module(self.module).run
+
+
+@dataclasses.dataclass(frozen=True)
+class Experiment(Command):
+    """An experiment's entry: a command that writes results to a folder of its name.
+
+    Its options are derived from `contract.Options`.
+
+    Attributes:
+        thesis: The thesis element that it reproduces, for instance "Table 2-1, figures 2-4, 2-5".
+    """
+
+    thesis: str
 
 
 _ALL: tuple[Experiment, ...] = (
@@ -209,15 +226,28 @@ _ALL: tuple[Experiment, ...] = (
 EXPERIMENTS: dict[str, Experiment] = {experiment.name: experiment for experiment in _ALL}
 
 # name -> (module with main(arguments) -> exit status, summary)
-COMMANDS: dict[str, tuple[str, str]] = {
-    "doctor": (
-        "experiments.doctor.doctor",
-        "versions, renderer, and what is missing on this machine",
-    ),
-    "calibrate": (
-        "experiments.commands.calibrate",
-        "a person calibrates a real robot's inclinometer",
-    ),
-    "report": ("experiments.report.report", "all results beside the thesis' in OUT/report.html"),
-    "bench-table": ("experiments.bench.table", "the table of docs/benchmarks.md, from OUT/bench"),
+COMMANDS: dict[str, Command] = {
+    command.name: command
+    for command in (
+        Command(
+            "doctor",
+            "versions, renderer, and what is missing on this machine",
+            "experiments.doctor.doctor",
+        ),
+        Command(
+            "calibrate",
+            "a person calibrates a real robot's inclinometer by weighing it on wedges (Table D-1)",
+            "experiments.commands.calibrate",
+        ),
+        Command(
+            "report",
+            "all results beside the thesis' in OUT/report.html",
+            "experiments.report.report",
+        ),
+        Command(
+            "bench-table",
+            "the table of docs/benchmarks.md, from OUT/bench",
+            "experiments.report.bench_table",
+        ),
+    )
 }

@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 
 from experiments.harness.contract import OptionError
-from twin.connect import TARGETS, wirings_of
 from twin.hardware.calibration.calibration import CalibrationError
-from twin.hardware.connect_boards import Wiring
+from twin.hardware.wiring import TARGETS, Wiring, wirings_of
 
 
 def check_robot(target: str) -> None:

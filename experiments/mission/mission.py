@@ -8,17 +8,14 @@ before the slot, and inserts the card, guided by the master (chapter 5). All tha
 them goes by radio. What is drawn and measured stands in ``docs/mission.md``.
 """
 
-import dataclasses
 import math
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 
-from controllers.mission.team import OMITTABLE, STAGES
+from controllers.mission.config import STAGES
 from experiments.ch2.rover.confidence import measure_confidence
 from experiments.ch5.insertion_scene import TOUCH
-from experiments.harness import contract
 from experiments.harness.contract import OptionError
 from experiments.harness.intervals import (
     Distribution,
@@ -29,83 +26,26 @@ from experiments.harness.intervals import (
     success_fraction,
 )
 from experiments.harness.output import Output
-from experiments.harness.robot_option import check_calibrations, check_robot
+from experiments.harness.robot_option import check_calibrations
 from experiments.harness.sweep import sweep
 from experiments.mission.figures import draw_steps, draw_tracks
 from experiments.mission.film import film_mission
+from experiments.mission.mission_options import Options
 from experiments.mission.scene import MASTER
 from experiments.mission.trial import BeliefResult, MissionResult, MissionTrial, run_mission
-from twin.connect import wirings_of
-from twin.realism import RealismName
+from twin.hardware.wiring import wirings_of
 
 ARRIVED, SUCCEEDED, OF_ARRIVED = 0.9, 0.85, 0.9
 """Bars of ``docs/mission.md``: fractions that arrive, that succeed, and that do of those."""
 RATIO, STATION, NEES = 1.5, (30.0, 2.0), (0.5, 2.0)
 """Further bars: driven over shortest path, error of the station [mm, deg], and its squared
 normalised error over its degrees of freedom."""
-DEMONSTRATION = 10
-"""Seed of the mission of ``--quick``: the first from 1 on whose rovers both begin within 4 m of the
-slot, as their initial poses are drawn; chosen before it was run, for it is short."""
 MAP_BYTES = 20_000
 """Bar of the bytes of maps on the air."""
 TOUCHED, FORCE = 0.8, 20.0
 """Bars: share of the insertions in which the guides are touched, and the 95th percentile of the
 largest contact forces [N]."""
 Results = Sequence[MissionResult]
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of mission.
-
-    Attributes:
-        robot: Robots that are driven: sim, quantised (counts as the boards do), emulated (over the
-            boards' own protocols) or both robots' boards, serial:PORT,...,serial:PORT,...
-        without: What further missions of the same seeds do without, one at a time: points of the
-            map for paths (they are planned as if nothing stood on the ground), occluders (so is the
-            camera station chosen), the panel once it was found, the guard against tipping over, or
-            cooperation (what the master sees of card and slot).
-        loss: Share of the radio's messages that are lost in further missions of the same seeds; 0
-            for none.
-        realism: How far simulated robots, their sensors and cameras are from their drawings: ideal,
-            default or harsh; with any but ideal each seed has robots of its own.
-        only: Last stage to run, or all.
-    """
-
-    robot: str = "sim"
-    without: tuple[str, ...] = ()
-    loss: float = 0.0
-    realism: RealismName = "default"
-    only: Literal["identify", "search", "map", "place", "approach", "all"] = "all"
-
-    def __post_init__(self) -> None:
-        """Refuse unknown robots and parts.
-
-        Raises:
-            OptionError: Naming it and the known ones.
-        """
-        super().__post_init__()
-        check_robot(self.robot)
-        if unknown := set(self.without) - set(OMITTABLE):
-            raise OptionError(f"--without {min(unknown)}: expected some of {', '.join(OMITTABLE)}")
-        if not 0.0 <= self.loss < 1.0:
-            raise OptionError(f"--loss {self.loss}: expected a share of messages, 0 to 1")
-        missions = len(self.mission_seeds) * len(self.cells)
-        if self.robot.startswith("serial:") and missions > 1:
-            raise OptionError("--robot serial: one mission at a time, with --quick")
-
-    @property
-    def mission_seeds(self) -> list[int]:
-        """Seeds of the missions of each cell."""
-        if self.quick and self.seeds is None and self.seed == 0:
-            return [DEMONSTRATION]
-        return self.job_seeds(40, 1)
-
-    @property
-    def cells(self) -> tuple[str, ...]:
-        """Kinds of missions: whole ones, ``without_<part>``, and ``with_loss``."""
-        lost = ("with_loss",) if self.loss else ()
-        return ("", *(f"without_{part}" for part in self.without), *lost)
 
 
 def run(options: Options, output: Output) -> None:

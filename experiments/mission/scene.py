@@ -27,7 +27,8 @@ from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import transport_covariance
 from perception.registration.target import TargetCad
 from twin.describe import describe_rover
-from twin.realism import RealismName, as_stated
+from twin.optics.realism import RealismName
+from twin.realism import as_stated
 
 MAST = 0.065
 """Height by which both stereo heads are raised, so that the slave looks over its card [m]."""

@@ -14,12 +14,13 @@ from controllers.insertion.card_inserter import InsertionStage
 from controllers.insertion.seating import SeatingGuide
 from controllers.insertion.team import InsertionSlave
 from controllers.mapping.map_sharing import FRAGMENT, RECEIPT
+from controllers.mission.config import MissionConfig
 from controllers.mission.robot_mission import RobotMission
 from controllers.mission.site import SiteDrawing
 from controllers.mission.stage import StageError
 from controllers.mission.stages.go_to import GoToPlace
 from controllers.mission.stages.insert import GuideInsertion, InsertCard
-from controllers.mission.team import MissionConfig, MissionTeam
+from controllers.mission.team import MissionTeam
 from experiments.ch2.rover.confidence import RobotIdentification
 from experiments.ch2.rover.laboratory import laboratory_values
 from experiments.ch5.insertion_scene import (
@@ -48,7 +49,8 @@ from perception.geometry.arrays import FloatArray
 from twin.camera import StereoConfig
 from twin.connect import Connection, LineConfig, connect
 from twin.loop import LoopRecorder, Tick, run
-from twin.realism import RealismName, make_robots, realism_of
+from twin.optics.realism import RealismName
+from twin.realism import make_robots, realism_of
 from twin.robot import RobotError
 
 LIMIT = 1500.0

@@ -1,35 +1,21 @@
 """``python -m experiments report``: all results in one self-contained page."""
 
-import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 
 from experiments.harness import catalogue
-from experiments.harness.command_line import parse
 from experiments.harness.contract import ExperimentError
 from experiments.report.page import page
+from experiments.report.report_options import Options
 from experiments.report.results import read_results
 from perception.geometry.files import replace_file
 
 
-@dataclasses.dataclass(frozen=True)
-class ReportOptions:
-    """Options of the report.
-
-    Attributes:
-        out: Folder of results; the report is written to OUT/report.html.
-    """
-
-    out: Path = Path("results")
-
-
-def main(arguments: Sequence[str]) -> int:
+def run(options: Options) -> int:
     """Write the report and print where it is; return 0.
 
     Raises:
         ExperimentError: If there are no results, or one cannot be read.
     """
-    options = parse(ReportOptions, "report", "Gather all results in one page.", arguments)
     print(write_report(options.out))
     return 0
 

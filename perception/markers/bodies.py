@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from perception.geometry.arrays import FloatArray, ImageArray
 from perception.markers.blobs import detect_blobs
+from perception.markers.detector_names import DETECTOR_NAMES
 from perception.markers.ellipses import MarkerExpectation, Markers
 from perception.markers.hough import detect_hough
 from perception.markers.poses import BodyCad, BodyFit, BodyPrior, SeenDiscs, fit_body
@@ -24,7 +25,7 @@ from perception.stereo.geometry import StereoGeometry
 Detector = Callable[[NDArray[Any], StereoGeometry, MarkerExpectation], Markers]
 
 DETECTORS: Final[Mapping[str, Detector]] = MappingProxyType(
-    {"tht": detect_hough, "blob": detect_blobs}
+    dict(zip(DETECTOR_NAMES, (detect_hough, detect_blobs), strict=True))
 )
 """The thesis' detector and one of today, by the names of the metrics."""
 _MOST_TRIED = 12  # Sets of markers that are fitted, those with the best distances first.

@@ -3,8 +3,8 @@ import pytest
 
 from models.compose import RobotPlacement
 from twin.connect import connect
-from twin.hardware.connect_boards import Wiring
 from twin.hardware.serial_link import LinkError
+from twin.hardware.wiring import Wiring
 from twin.loop import run
 from twin.robot import Command, Lifecycle, WheelMode
 

@@ -7,6 +7,6 @@
 - `board_set`: all boards of one robot as one device.
 - `board_samples`: latest sample of every board, with its age.
 - `board_robot`: a robot of the contract (`twin.robot`) over its boards.
-- `connect_boards`: robots from the words of ``serial:``.
+- `wiring`: what the words of ``serial:`` say; `connect_boards`: robots from them.
 - `emulator`: the same boards on pseudo-terminals, with simulated physics behind them.
 """

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -117,7 +117,9 @@ HARSH_CAMERA = CameraRealism(
 )
 """Little light, so both fields exposed through a wide aperture; slow, and poorly calibrated."""
 
-CAMERA_SETS: Mapping[str, CameraRealism] = MappingProxyType(
+RealismName = Literal["ideal", "default", "harsh"]
+"""How far robots, their sensors and cameras are from their drawings; `twin.realism.REALISMS`."""
+CAMERA_SETS: Mapping[RealismName, CameraRealism] = MappingProxyType(
     {"ideal": IDEAL_CAMERA, "default": DEFAULT_CAMERA, "harsh": HARSH_CAMERA}
 )
 """Sets by name."""

@@ -5,7 +5,6 @@ reference while the base is pushed; the feed-forward also as measured and with a
 nine-coordinate model (eqs A-2, A-3) is compared with MuJoCo, and its ranks are computed.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -15,6 +14,7 @@ from matplotlib.figure import Figure
 from controllers.motion.arm_control import Law
 from controllers.motion.base_motion import LAG
 from controllers.motion.lagrange import controllability_rank, observability_rank
+from experiments.appa.control.control_options import Options
 from experiments.appa.control.plant import PlanarPlant, model_errors, planar_plant
 from experiments.appa.control.trial import (
     HOME,
@@ -24,7 +24,6 @@ from experiments.appa.control.trial import (
     ControlTrial,
     run_control,
 )
-from experiments.harness import contract
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -52,11 +51,6 @@ COUPLE = 2.0
 """Of the pushes [N m]: held, they pitch the soft base by 2 degrees."""
 STATES = 100
 MODEL_BOUND, HALF, NO_WORSE = 1e-8, 0.5, 1.05
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
-    """Options of appa-control."""
 
 
 def run(options: Options, output: Output) -> None:

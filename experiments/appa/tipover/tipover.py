@@ -5,15 +5,14 @@ as a guard plans it that slows it as a whole before it begins, and as a guard le
 The zero-moment point of eq. A-5 is compared with MuJoCo's centre of pressure all the while.
 """
 
-import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from controllers.motion.guarded_swing import GUARDS
+from experiments.appa.tipover.tipover_options import Options
 from experiments.appa.tipover.trial import TipRun, TipTrial, run_tip
-from experiments.harness import contract
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -29,11 +28,6 @@ ZMP_BOUND = 1.0
 Shown = Mapping[str, TipRun]
 NAMES = {"unguarded": "as requested", "planned": "planned ahead", "online": "slowed online"}
 Pairs = list[tuple[TipTrial, TipRun]]
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
-    """Options of appa-tipover."""
 
 
 def run(options: Options, output: Output) -> None:

@@ -6,7 +6,6 @@ slave's from that on the map. Compared are the hybrid control, the same without 
 grips hold positions; the insertion still gives way), and the hybrid grips without guidance.
 """
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -26,7 +25,7 @@ from experiments.appa.truss.trial import (
     TrussTrial,
     run_truss,
 )
-from experiments.harness import contract
+from experiments.appa.truss.truss_options import Options
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -43,11 +42,6 @@ _PLACES = ("s [mm]", "z [mm]", "angle [deg]")
 _LOADS = ("along [N]", "up [N]", "moment [N m]")
 _JOINTS = ("shoulder", "elbow", "wrist")
 Results = dict[tuple[str, float], list[TrussRun]]
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
-    """Options of appa-truss."""
 
 
 def run(options: Options, output: Output) -> None:

@@ -18,8 +18,9 @@ import numpy as np
 from perception.geometry.arrays import FloatArray
 from twin.clock import WallClock
 from twin.hardware.board_robot import BoardRobot
-from twin.hardware.connect_boards import Wiring, watched, wired_robot, without_pauses
+from twin.hardware.connect_boards import watched, wired_robot, without_pauses
 from twin.hardware.serial_link import LinkError
+from twin.hardware.wiring import Wiring
 from twin.robot import ArmMode, Command, Lifecycle, Observation, RobotError, WheelMode
 
 PERIOD = 0.01  # [s]

@@ -214,7 +214,7 @@ def keep_bare_pace(duration: float, exchanges: int) -> EchoPace:
         duration: Duration on the wall clock [s].
         exchanges: Number of questions and answers in a cycle.
     """
-    command = [sys.executable, "-m", "experiments.bench.echo_probe"]
+    command = [sys.executable, "-m", "experiments.appd.boards.echo_probe"]
     steps, taken = round(duration / PERIOD), list[float]()
     with subprocess.Popen(  # noqa: S603
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True

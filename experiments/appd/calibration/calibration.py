@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from experiments.appd.calibration.calibration_options import Options
 from experiments.appd.calibration.tilt_table import (
     BITS,
     WeighedRobot,
@@ -19,7 +20,6 @@ from experiments.appd.calibration.tilt_table import (
     true_sensors,
     weigh_one,
 )
-from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -44,11 +44,6 @@ THESIS, OURS = "two_point/with_sag", "least_squares/without_sag"
 MISALIGNMENT = 0.5 * DEGREE  # of the force/torque sensor about each axis, one standard deviation
 ARM_WEIGHT = ARM.mass * GRAVITY
 SLOPE_BOUND, ZERO_BOUND, TILT_BOUND = 1.0, 0.5, 0.3  # [%], [%], [deg]
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
-    """Options of the calibration of the inclinometers."""
 
 
 def run(options: Options, output: Output) -> None:

@@ -6,7 +6,6 @@ the modems delay; the framed link hardly is. In the end two rovers drive and rep
 positions to each other.
 """
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -21,6 +20,7 @@ from experiments.appd.radio.figures import (
     draw_latency,
     draw_progress,
 )
+from experiments.appd.radio.radio_options import Options
 from experiments.appd.radio.trial import (
     FATES,
     LINKS,
@@ -29,8 +29,6 @@ from experiments.appd.radio.trial import (
     TrialConfig,
     run_trial,
 )
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -45,27 +43,6 @@ LEAST_MESSAGES = 10_000
 COUNTS = (1000, 400)  # messages a trial: full, quick
 TALK = (30.0, 10.0)  # [s] that the rovers drive: full, quick
 PERCENTILES = (50, 95, 99)
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
-    """Options of the radio experiment.
-
-    Attributes:
-        delay: Delay of the modems, one way [s]; the framed link's advantage grows with it.
-    """
-
-    delay: float = 0.005
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be run.
-
-        Raises:
-            OptionError: If the delay is out of range or the robot unknown.
-        """
-        super().__post_init__()
-        if not 0.0 <= self.delay <= 0.05:
-            raise OptionError(f"--delay: expected 0 to 0.05 s, got {self.delay}")
 
 
 def run(options: Options, output: Output) -> None:

@@ -6,7 +6,6 @@ drawn uniformly, as the thesis seems to have them, are shown beside: hardly any 
 they measure the draw rather than the search. All lengths are in radii of the discs.
 """
 
-import dataclasses
 import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -15,6 +14,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from controllers.braid.arm.inverse import METHODS
+from experiments.appe.arm.inverse_options import Options
 from experiments.appe.arm.inverse_trial import (
     CLEAR_STAGES,
     EQUAL_TIME,
@@ -26,8 +26,6 @@ from experiments.appe.arm.inverse_trial import (
     solve_scenes,
     solve_targets,
 )
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import concatenated, seeded_chunks, sweep
@@ -35,7 +33,6 @@ from experiments.harness.sweep import concatenated, seeded_chunks, sweep
 Results = dict[str, Solved]
 
 STAGES = (5, 10, 20)
-TARGETS, QUICK_TARGETS = 1000, 20
 PLANTED, QUICK_PLANTED = 100, 20
 SCENES, QUICK_SCENES = 200, 20
 CHUNK = 50
@@ -56,31 +53,6 @@ MEASURED = {
     "ms": ("ms", 1.0),
 }
 """Name in the results, and factor of its unit, of each field of `Solved`."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of appe-inverse.
-
-    Attributes:
-        targets: Number for each kind and number of stages (default 1000; with --quick, 20).
-    """
-
-    targets: int | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse no targets.
-
-        Raises:
-            OptionError: If there are none.
-        """
-        super().__post_init__()
-        if self.targets is not None and self.targets < 1:
-            raise OptionError(f"--targets {self.targets}: expected at least 1")
-
-    def count(self) -> int:
-        """Return the number of targets of each kind."""
-        return self.targets or (QUICK_TARGETS if self.quick else TARGETS)
 
 
 def run(options: Options, output: Output) -> None:

@@ -4,7 +4,6 @@ Figure E-5, the stage's residual and symmetry, the thesis' repaired equations be
 and the flexures that the joints' angles ask for (E-1, E-2). All lengths are in radii of the discs.
 """
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -20,12 +19,10 @@ from controllers.braid.arm.stage import (
     state_poses,
 )
 from controllers.braid.arm.thesis_stage import thesis_stage_pose
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
+from experiments.appe.arm.workspace_options import Options
 from experiments.harness.output import Output
 from perception.geometry.arrays import FloatArray
 
-MAX_STAGES = 6
 EXACT = 1e-12
 EXTENSIONS = (0.05, 0.1, 0.2, 0.3)
 LENGTHS, QUICK_LENGTHS = 100_000, 10_000
@@ -33,31 +30,6 @@ MIRRORED = (0, 1, 6, 7)
 """States whose legs 2 and 3 are alike."""
 STRIP_LENGTH, STRIP_WIDTH, DISC = 5e-3, 10e-3, 50e-3
 """Sizes of the flexures in the table, and the disc's radius [m]: assumptions."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of appe-workspace.
-
-    Attributes:
-        stages: Number of the arm's stages.
-        extension: Extension of a leg when its actuator is on, in radii.
-    """
-
-    stages: int = 5
-    extension: float = 0.3
-
-    def __post_init__(self) -> None:
-        """Refuse arms that cannot be listed.
-
-        Raises:
-            OptionError: Naming the option.
-        """
-        super().__post_init__()
-        if not 1 <= self.stages <= MAX_STAGES:
-            raise OptionError(f"--stages {self.stages}: expected 1 to {MAX_STAGES}")
-        if not 0.0 < self.extension <= 0.5:  # noqa: PLR2004
-            raise OptionError(f"--extension {self.extension}: expected more than 0, up to 0.5")
 
 
 def run(options: Options, output: Output) -> None:

@@ -15,6 +15,7 @@ from controllers.braid.bus.code import DEFAULT_TIMING, AddressCode, duration, sh
 from controllers.braid.bus.decoder_chips import Trace
 from controllers.braid.bus.master import planned_commands, protocols
 from controllers.braid.bus.trains import FAULT_KINDS, OneFault, trains_of
+from experiments.appe.bus.bus_options import Options
 from experiments.appe.bus.figures import (
     draw_durations,
     draw_faults,
@@ -30,7 +31,6 @@ from experiments.appe.bus.trial import (
     BusTrialConfig,
     run_trial,
 )
-from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -48,11 +48,6 @@ MENDED = {  # What each protocol promises to mend, when it befalls a word once.
     "correct": ("missed", "extra"),
 }
 FINE_SAMPLE = 1e-6  # [s], for the oscilloscope
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of the bus experiment; none of its own."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,7 +8,6 @@
 4. Random words of five stages that carry the head: bits that come out wrong, and speed.
 """
 
-import dataclasses
 import itertools
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from controllers.braid.bus.drive import DriveConfig
 from experiments.appe.mechanism import figures
 from experiments.appe.mechanism.bench import make_bench
+from experiments.appe.mechanism.mechanism_options import QUICK_SAGGING, SAGGING, Options
 from experiments.appe.mechanism.record import record_words
 from experiments.appe.mechanism.trial import (
     ArmTrial,
@@ -26,8 +26,6 @@ from experiments.appe.mechanism.trial import (
     settle_states,
     toggle_course,
 )
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import concatenated, seeded_chunks, sweep
@@ -37,46 +35,11 @@ from models.datasheets import BRAID
 STATE_ERROR = 0.1
 """Bar of a settled state, per cent of the radius."""
 HOLDS, TOGGLES = 0.9, 1.1
-SAGGING, QUICK_SAGGING = (1, 2, 3, 4, 5, 6, 7, 8), (1, 3, 5)
 SAG_WORDS, QUICK_SAG_WORDS = 40, 6
 WORDS, QUICK_WORDS = 200, 16
 CHUNK = 50
 RECORDED = 6
 """Words of the recording."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of appe-mechanism.
-
-    Attributes:
-        stages: Number of stages of the arm that is driven through random words.
-        words: Number of random words (default 200; with --quick, 16).
-        at_once: Number of legs that are heated together (default: all legs of the arm).
-    """
-
-    stages: int = 5
-    words: int | None = None
-    at_once: int | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be run.
-
-        Raises:
-            OptionError: Naming the option.
-        """
-        super().__post_init__()
-        if not 1 <= self.stages <= SAGGING[-1]:
-            raise OptionError(f"--stages {self.stages}: expected 1 to {SAGGING[-1]}")
-        for name in ("words", "at_once"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                option = name.replace("_", "-")
-                raise OptionError(f"--{option} {value}: expected at least 1")
-
-    def group(self) -> int:
-        """Return how many legs are heated together."""
-        return self.at_once or 3 * self.stages
 
 
 def run(options: Options, output: Output) -> None:

@@ -7,48 +7,24 @@ of the blocks, is
 driven in physics by the muscle wires, and what the camera then sees is rendered.
 """
 
-import dataclasses
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.appe.mechanism.figures import gallery
+from experiments.appe.placement.placement_options import Options
 from experiments.appe.placement.record import record_placement
 from experiments.appe.placement.trial import REST, PlacementTrial, prepare, run_placement
-from experiments.harness import contract
-from experiments.harness.contract import ExperimentError, OptionError
+from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from perception.geometry.arrays import FloatArray
 
 SETTINGS, QUICK_SETTINGS = 24, 3
-MOST_STAGES = 5
 SEEN = 0.98
 """Bar of the target's visible part, as `ch4-stereo` has it."""
 MEASURED = ("place_mm", "turn_deg", "off_mm", "off_deg", "tries", "pixels")
 """Fields of a `PlacedCamera` that are measured and listed for each setting."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of appe-placement.
-
-    Attributes:
-        stages: Number of BRAID's stages. --seeds sets the number of settings.
-    """
-
-    stages: int = MOST_STAGES
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be listed.
-
-        Raises:
-            OptionError: Naming the option.
-        """
-        super().__post_init__()
-        if not 1 <= self.stages <= MOST_STAGES:
-            raise OptionError(f"--stages {self.stages}: expected 1 to {MOST_STAGES}")
 
 
 def run(options: Options, output: Output) -> None:

@@ -15,25 +15,23 @@ from rich.table import Table
 
 from controllers.identification.excitation import REPLAN_PERIOD
 from controllers.identification.pitch import NAMES, UNITS
-from controllers.identification.rover_identifier import EXCITATIONS, RoverIdentifier
+from controllers.identification.rover_identifier import RoverIdentifier
 from controllers.identification.swing_plane import SwingPlane
 from experiments.ch2.rover.confidence import RobotIdentification, measure_confidence
 from experiments.ch2.rover.laboratory import laboratory_roll, laboratory_values
 from experiments.ch2.rover.roll import measure_roll, tabulate_roll
+from experiments.ch2.rover.rover_options import Options
 from experiments.ch2.rover.trial import (
     ROBOT,
-    Axis,
     RoverIdentification,
     RoverTrial,
     error_percent,
     rover_config,
     run_rover_trial,
 )
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, success_fraction
 from experiments.harness.output import Output
-from experiments.harness.robot_option import check_calibrations, check_robot
+from experiments.harness.robot_option import check_calibrations
 from experiments.harness.sweep import sweep
 from models.compose import LABORATORY, RobotPlacement
 from models.datasheets import (
@@ -47,7 +45,6 @@ from twin import loop
 from twin.camera import StereoConfig
 from twin.connect import connect
 from twin.loop import LoopRecorder, Tick
-from twin.realism import RealismName
 from twin.recording.layout import default_blueprint
 from twin.recording.record import Recorder
 
@@ -57,49 +54,6 @@ Truths = Sequence[Mapping[str, float]]
 
 COLOURS = {"constant": "tab:red", "information": "tab:blue"}
 THESIS_COLUMN = {"constant": 0, "information": 1}
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of ch2-rover.
-
-    Attributes:
-        robot: Which robot: sim, quantised, emulated, or serial:PORT[,NAME=VALUE...] for real
-            boards.
-        excitations: Which excitations to compare (unless said, all; two with --quick).
-        duration: Time of excitation [s].
-        realism: How far simulated robots and their sensors are from their drawings: ideal, default
-            or harsh; with any but ideal each seed has a robot of its own.
-        axis: Tilt to identify: pitch, the arm ahead, or roll, the arm turned aside.
-    """
-
-    robot: str = "sim"
-    excitations: tuple[str, ...] = ()
-    duration: float = 10.0
-    realism: RealismName = "default"
-    axis: Axis = "pitch"
-
-    def __post_init__(self) -> None:
-        """Refuse robots that cannot be, unknown excitations, and durations that hold no window.
-
-        Raises:
-            OptionError: Naming the option.
-        """
-        super().__post_init__()
-        check_robot(self.robot)
-        for name in self.excitations:
-            if name not in EXCITATIONS:
-                raise OptionError(
-                    f"--excitations {name}: unknown; there are {', '.join(EXCITATIONS)}"
-                )
-        if not 1.0 <= self.duration <= 120.0:
-            raise OptionError(f"--duration: expected 1 to 120 s, got {self.duration}")
-
-    def chosen(self) -> tuple[str, ...]:
-        """Return the excitations to run."""
-        if self.excitations:
-            return self.excitations
-        return ("constant", "information") if self.quick else EXCITATIONS
 
 
 def run(options: Options, output: Output) -> None:

@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -22,15 +21,16 @@ from controllers.identification.rover_identifier import (
 from controllers.identification.swing_plane import PITCH, ROLL
 from experiments.ch2.rover.acceleration import acceleration_gain
 from experiments.ch2.rover.roll import front_alone
+from experiments.ch2.rover.rover_options import Axis
 from models.compose import LABORATORY, RobotPlacement
 from perception.geometry.arrays import FloatArray
 from twin.connect import Connection, connect
 from twin.describe import describe_rover
 from twin.loop import LoopRecorder, run
-from twin.realism import RealismName, make_robots
+from twin.optics.realism import RealismName
+from twin.realism import make_robots
 
 ROBOT = "rover1"
-Axis = Literal["pitch", "roll"]
 PLANES = {PITCH.name: PITCH, ROLL.name: ROLL}
 """Planes in which the arm swings, by the tilt that they show."""
 
@@ -41,7 +41,7 @@ class RoverTrial:
 
     Attributes:
         robot: Robot to connect to, as `twin.connect.connect` takes it.
-        excitation: One of `rover_identifier.EXCITATIONS`.
+        excitation: One of `rover_identifier.ROVER_EXCITATIONS`.
         seed: Random seed of sensor noise and planner.
         duration: Duration of the excitation [s].
         unseen: Duration of the motion that the result is tried on [s].
@@ -78,7 +78,7 @@ def rover_config(excitation: str, duration: float, axis: Axis) -> RoverIdentifie
     """Return the configuration of an identification of `ROBOT` as drawn.
 
     Args:
-        excitation: One of `rover_identifier.EXCITATIONS`.
+        excitation: One of `rover_identifier.ROVER_EXCITATIONS`.
         duration: Duration of the excitation [s].
         axis: Tilt to identify.
     """

@@ -8,15 +8,14 @@ somewhere that can be reached.
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-import tyro
 
-from controllers.mapping.planar_planner import METHODS, Method, PlannerConfig
+from controllers.mapping import Method
 from experiments.ch3.planar.explain import evaluation_figure, merging_figure
 from experiments.ch3.planar.figures import MethodRuns, draw_group
+from experiments.ch3.planar.planar_options import NARROW, WIDE, Options
 from experiments.ch3.planar.record import record_trial
 from experiments.ch3.planar.trial import (
     TARGET,
@@ -27,70 +26,15 @@ from experiments.ch3.planar.trial import (
     map_world,
     measure_arrival,
 )
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from perception.geometry.arrays import FloatArray
-from perception.planar.raycast import RangeSensor
 
-QUICK_METHODS: tuple[Method, ...] = ("max_new", "information")
 THESIS_METHODS: tuple[Method, ...] = ("random", "raster", "max_new", "min_old", "information")
-WIDE, NARROW = (90.0, 15.0), (75.0, 10.0)
-"""Field of view [deg] and depth of field [m] of the thesis' two kinds of vision system."""
 LIMITS = {"unstructured": 200, "narrow": 320, "indoor": 400}
 END = 0.95
 """Fraction mapped at which a run ends (with --quick, as soon as it is scored)."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of ch3-planar.
-
-    Attributes:
-        world: Map this picture instead (dark is obstacle, a pixel is half a metre, larger
-            pictures are shrunk to 200); each seed draws a start and candidates.
-        methods: Methods to compare (by default all; with --quick, max_new and information).
-        reading: Reading of new information: histogram (3-14 as mended), premultiplied or entropy.
-        utility: Rating by method information: distance at its going rate, or at the fixed price of
-            3-15, K = 0.1 and n = 2.
-        noise: Standard deviation of a range over its square [1/m] (3-7).
-        fov: Field of view for --world [deg].
-        depth: Depth of field for --world [m].
-        explain: Also draw how Gaussians are merged and how a view is evaluated (3-6, 3-8).
-    """
-
-    world: Annotated[Path | None, tyro.conf.arg(metavar="PICTURE")] = None
-    methods: tuple[Method, ...] = ()
-    reading: Literal["histogram", "premultiplied", "entropy"] = "entropy"
-    utility: Literal["going_rate", "fixed"] = "going_rate"
-    noise: float = 0.0
-    fov: float = NARROW[0]
-    depth: float = NARROW[1]
-    explain: bool = False
-
-    def __post_init__(self) -> None:
-        """Refuse unknown methods and impossible sensors.
-
-        Raises:
-            OptionError: Naming the option.
-        """
-        super().__post_init__()
-        for method in self.methods:
-            if method not in METHODS:
-                raise OptionError(f"--methods {method}: expected {', '.join(METHODS)}")
-        if not 0.0 < self.fov <= 360.0:
-            raise OptionError(f"--fov: expected more than 0 and at most 360 deg, got {self.fov}")
-        try:
-            sensor = RangeSensor(float(np.radians(self.fov)), self.depth, self.noise)
-            PlannerConfig(sensor, reading=self.reading, utility=self.utility)
-        except ValueError as error:
-            raise OptionError(f"--{error}") from None
-
-    def chosen_methods(self) -> tuple[Method, ...]:
-        """Return the methods to run, each once."""
-        return tuple(dict.fromkeys(self.methods or (QUICK_METHODS if self.quick else METHODS)))
 
 
 def run(options: Options, output: Output) -> None:

@@ -4,7 +4,6 @@ Each round every robot chooses a pose, goes there and scans (75 deg, 10 m). Coop
 what they are about to see; independent ones choose for themselves on the common map.
 """
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,45 +11,16 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.ch3.planar.record import record_trial
+from experiments.ch3.planar.swarm_options import Options
 from experiments.ch3.planar.trial import TARGET, PlanarRun, PlanarTrial, map_world, measure_arrival
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from perception.geometry.arrays import FloatArray
 
-SIZES, QUICK_SIZES = (1, 2, 5, 10, 20, 50), (2, 5, 20)
-LARGEST = 200
 PLAN_BOUND = 100.0
 """Greatest median planning time of a robot's choice [ms]."""
 TEAMS = ("cooperative", "independent")
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of ch3-swarm.
-
-    Attributes:
-        robots: Sizes of the swarm (by default 1 2 5 10 20 50; with --quick, 2 5 20).
-    """
-
-    robots: tuple[int, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse sizes out of range.
-
-        Raises:
-            OptionError: Naming the size.
-        """
-        super().__post_init__()
-        for size in self.robots:
-            if not 1 <= size <= LARGEST:
-                raise OptionError(f"--robots {size}: expected 1 to {LARGEST}")
-
-    def sizes(self) -> tuple[int, ...]:
-        """Return the sizes to run, each once, in order."""
-        return tuple(sorted(set(self.robots or (QUICK_SIZES if self.quick else SIZES))))
 
 
 def run(options: Options, output: Output) -> None:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from controllers.mapping import Method
 from controllers.mapping.planar_planner import (
-    Method,
     PlanarTeam,
     PlannedView,
     PlannerConfig,

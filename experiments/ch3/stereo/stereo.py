@@ -6,12 +6,9 @@ triangulate together. The truth only scores. Mapping drives robots, simulated or
 boards; the other three parts set cameras or draw points themselves, and need none.
 """
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, ClassVar
 
 import numpy as np
-import tyro
 
 from controllers.mapping.stereo_view import METHODS
 from experiments.ch3.motion.cooperative import measure_cooperation
@@ -21,9 +18,9 @@ from experiments.ch3.stereo.figures import growth_figure, points_figure, scene_f
 from experiments.ch3.stereo.noise import measure_noise
 from experiments.ch3.stereo.record import record_map
 from experiments.ch3.stereo.scene import StereoScene
+from experiments.ch3.stereo.stereo_options import PARTS, Options
 from experiments.ch3.stereo.trial import MappingRun, MappingTrial, run_trial
-from experiments.harness import contract
-from experiments.harness.contract import ExperimentError, OptionError
+from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -36,41 +33,6 @@ NEES_BOUNDS = (0.5, 2.0)
 FIGURE = {"raster": "figure_3-26", "information": "figure_3-27"}
 
 
-@dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
-    """Options of stereo mapping.
-
-    Attributes:
-        targets: Valid values of `robot`.
-        robot: Robots that map: sim, quantised or emulated. The parts noise, motion and cooperation
-            need no robot.
-        parts: Parts to run: noise, motion, mapping, cooperation (all by default).
-        scans: Number of views of each robot (by default 12; with --quick, 3).
-    """
-
-    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
-    robot: str = "sim"
-    parts: tuple[str, ...] = ()
-    scans: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-
-    def __post_init__(self) -> None:
-        """Refuse unknown parts.
-
-        Raises:
-            OptionError: Naming the part, or as `contract.Options`.
-        """
-        super().__post_init__()
-        for part in self.parts:
-            if part not in PARTS:
-                raise OptionError(f"--parts {part}: expected some of {', '.join(PARTS)}")
-        if self.scans is not None and self.scans < 1:
-            raise OptionError(f"--scans: expected at least 1, got {self.scans}")
-        if self.robot != "sim" and self.parts and "mapping" not in self.parts:
-            raise OptionError(f"--robot {self.robot}: add mapping to --parts; the others need none")
-        if self.record and self.parts and "mapping" not in self.parts:
-            raise OptionError("--record shows the map: add mapping to --parts")
-
-
 def run(options: Options, output: Output) -> None:
     """Run the chosen parts.
 
@@ -78,8 +40,8 @@ def run(options: Options, output: Output) -> None:
         options: ``quick`` takes fewer scenes, scans and repetitions.
         output: Receives the metrics of all parts.
     """
-    for part in options.parts or tuple(PARTS):
-        PARTS[part](options, output)
+    for part in options.parts or PARTS:
+        _MEASURES[part](options, output)
 
 
 def measure_all_motion(options: Options, output: Output) -> None:
@@ -169,9 +131,10 @@ def _show(runs: Mapping[str, MappingRun], seed: int, output: Output) -> None:
         output.figure(f"{name}b", points_figure(shown.surface))
 
 
-PARTS: dict[str, Callable[[Options, Output], None]] = {
-    "noise": measure_noise,
-    "motion": measure_all_motion,
-    "mapping": measure_mapping,
-    "cooperation": measure_cooperation,
-}
+_MEASURES: dict[str, Callable[[Options, Output], None]] = dict(
+    zip(
+        PARTS,
+        (measure_noise, measure_all_motion, measure_mapping, measure_cooperation),
+        strict=True,
+    )
+)

@@ -64,6 +64,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.ch4.montecarlo.figures import SHOWN, table_figure, track_figure
+from experiments.ch4.montecarlo.montecarlo_options import Options
 from experiments.ch4.montecarlo.orderings import cell_name, compare_all, second_chance
 from experiments.ch4.montecarlo.record import record_test
 from experiments.ch4.montecarlo.scenario import DENSITIES, SCENARIO, TOLERANCES
@@ -75,7 +76,6 @@ from experiments.ch4.montecarlo.trial import (
     GuidedTests,
     run_tests,
 )
-from experiments.harness import contract
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import concatenated, sweep
@@ -103,11 +103,6 @@ TABLE_4_1 = np.array(
     ]
 ).transpose(2, 0, 1, 3)  # fmt: skip
 """The thesis' table 4-1 [%]: (densities, tolerances, placements, targets)."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of ch4-montecarlo; ``--seeds`` is the number of tests a cell of the table."""
 
 
 def run(options: Options, output: Output) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from controllers.placement.planar.search import RingCandidates, best_view
+from controllers.placement.planar.search import best_view
 from experiments.ch4.planar.figures import (
     draw_hull_cost,
     draw_instances,
@@ -21,6 +21,7 @@ from experiments.ch4.planar.figures import (
     write_film,
 )
 from experiments.ch4.planar.motion import Moment, MotionTrial, approach, map_site, watch_approach
+from experiments.ch4.planar.planar_options import Options
 from experiments.ch4.planar.record import record_approach
 from experiments.ch4.planar.scenes import two_instances
 from experiments.ch4.planar.trials import (
@@ -31,8 +32,6 @@ from experiments.ch4.planar.trials import (
     compare_sights,
     occluded_angles,
 )
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import concatenated, sweep
@@ -48,35 +47,6 @@ VISION_PERIOD = 250.0
 WATCHED = ("primary", "secondary")
 RADIUS = 40.0
 """Distance of the cameras from the target in figure 4-6 [m]."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of ch4-planar.
-
-    Attributes:
-        rings: Number of distances of candidate camera poses.
-        directions: Number of directions of candidate camera poses about a target.
-        factor: Least rating of a new view over the present one for which the camera moves.
-    """
-
-    rings: int = 64
-    directions: int = 1024
-    factor: float = 1.2
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be searched or would chatter.
-
-        Raises:
-            OptionError: Naming the option.
-        """
-        super().__post_init__()
-        try:
-            RingCandidates(self.rings, self.directions)
-        except ValueError as error:
-            raise OptionError(f"--rings, --directions: {error}") from None
-        if not (np.isfinite(self.factor) and self.factor >= 1.0):
-            raise OptionError(f"--factor {self.factor}: expected 1 or more")
 
 
 def run(options: Options, output: Output) -> None:

@@ -11,7 +11,6 @@ is given, the rating is optimised in space, and the camera's view from there is 
 4. Two cameras placed at once.
 """
 
-import dataclasses
 from typing import Any
 
 import numpy as np
@@ -33,8 +32,7 @@ from experiments.ch4.spatial.blocks import (
 )
 from experiments.ch4.spatial.record import record_placement
 from experiments.ch4.spatial.search import LENS, SpatialSearchTrial, run_search
-from experiments.harness import contract
-from experiments.harness.contract import OptionError
+from experiments.ch4.spatial.stereo_options import Options
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -43,41 +41,9 @@ from models.datasheets import INCH
 
 SCENES, QUICK_SCENES = 200, 24
 ARRANGEMENTS, QUICK_ARRANGEMENTS = 60, 8
-BLOCKS = 8
 SYSTEMS = (VisionSystem("first", LENS), VisionSystem("second", LENS))
 COUNTS = range(3, 21)
 """Numbers of solids of random scenes."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of ch4-stereo.
-
-    Attributes:
-        scenes: Random scenes in which the searches are compared (200 by default; with --quick,
-            24). --seeds sets the number of rendered arrangements.
-        blocks: Blocks of a rendered arrangement.
-        target: The hole to watch in the scene of figure 4-12: hole0, hole1 or hole2.
-    """
-
-    scenes: int | None = None
-    blocks: int = BLOCKS
-    target: str = "hole0"
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be run.
-
-        Raises:
-            OptionError: Naming the option.
-        """
-        super().__post_init__()
-        if self.scenes is not None and self.scenes < 1:
-            raise OptionError(f"--scenes {self.scenes}: expected at least 1")
-        if not 1 <= self.blocks <= 12:  # noqa: PLR2004
-            raise OptionError(f"--blocks {self.blocks}: expected 1 to 12")
-        names = [f"hole{index}" for index in range(len(FIGURE_4_12.holes))]
-        if self.target not in names:
-            raise OptionError(f"--target {self.target}: the work-piece has {', '.join(names)}")
 
 
 def run(options: Options, output: Output) -> None:

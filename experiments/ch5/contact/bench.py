@@ -11,7 +11,8 @@ from models.card_and_slot.build import compile_bench
 from models.datasheets import CARD_AND_SLOT
 from perception.geometry.arrays import FloatArray
 from twin.describe import describe_rover
-from twin.realism import RealismName, realism_of
+from twin.optics.realism import RealismName
+from twin.realism import realism_of
 from twin.sensors import IDEAL, ChannelSpec, with_errors
 
 NEAR = 5e-4

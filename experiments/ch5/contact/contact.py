@@ -6,11 +6,11 @@ makes a hand within its springs' tolerances, whose sensor has zero, drift, scale
 Beside the thesis' plain slot there are card guides with a connector, which the card snaps into.
 """
 
-import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
 
+from experiments.ch5.contact.contact_options import Options
 from experiments.ch5.contact.figures import (
     draw_courses,
     draw_location,
@@ -31,28 +31,14 @@ from experiments.ch5.contact.trial import (
     run_insertion,
     run_states,
 )
-from experiments.harness import contract
 from experiments.harness.intervals import Distribution, distribution, fraction, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.datasheets import CARD_AND_SLOT, INCH
-from twin.realism import RealismName
 
 METHODS = ("guided", "unguided")
 SINGLE = (1, 2, 3, 6)
 Cells = dict[tuple[str, float, int], list[InsertionResult]]
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of ch5-contact.
-
-    Attributes:
-        realism: How far the hand and its sensor are from their drawings: ideal, default or harsh;
-            with any but ideal each seed has a hand of its own.
-    """
-
-    realism: RealismName = "default"
 
 
 def run(options: Options, output: Output) -> None:

@@ -16,7 +16,7 @@ from experiments.harness.intervals import Distribution, distribution, success_fr
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from models.datasheets import CARD_GUIDE
-from twin.realism import RealismName
+from twin.optics.realism import RealismName
 
 GUIDED, STRAIGHT, FINER = 0.95, 0.5, 0.05
 """Bars: by force, where straight ahead inserts at most that; and the most that finer physics may

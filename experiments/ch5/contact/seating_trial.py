@@ -17,7 +17,7 @@ from experiments.ch5.contact.bench import HandAsMade, HandBench
 from models.card_and_slot.guides import compile_guides_bench
 from models.datasheets import CARD_AND_SLOT, CARD_GUIDE, DEGREE, FORCE_TORQUE, HAND
 from perception.geometry.arrays import FloatArray
-from twin.realism import RealismName
+from twin.optics.realism import RealismName
 
 Way = Literal["guided", "straight", "spiral"]
 WAYS: tuple[Way, ...] = ("guided", "straight", "spiral")

@@ -18,7 +18,8 @@ from controllers.insertion.guide import GuideConfig, InsertionGuide, Phase, Stra
 from experiments.ch5.contact.bench import Bench, HandAsMade, press, shape_of
 from models.datasheets import CARD_AND_SLOT, DEGREE, FORCE_TORQUE, HAND, INCH
 from perception.geometry.arrays import FloatArray
-from twin.realism import RealismName, realism_of
+from twin.optics.realism import RealismName
+from twin.realism import realism_of
 
 NOISES = (0.0, 0.02, 0.04, 0.06, 0.08, 0.10)
 """Sensor noise of figure A-7, fraction of the force."""

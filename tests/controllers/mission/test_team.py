@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from controllers.mission import robot_mission, team
+from controllers.mission.config import STAGES, MissionConfig
 from controllers.mission.radio import PATIENCE, MissionRadio
 from controllers.mission.robot_mission import RobotMission
 from controllers.mission.site import MissionRoles
 from controllers.mission.stage import MissionStage, StageError
-from controllers.mission.team import STAGES, MissionConfig, MissionTeam
+from controllers.mission.team import MissionTeam
 from tests.controllers.mission.hand_made import (
     MASTER,
     POSES,

@@ -1,5 +1,6 @@
 import dataclasses
 import json
+import pkgutil
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from controllers.identification.compliant_base import ArmOnMount, BaseState, sim
 from controllers.identification.output_error import FINAL_SUBSTEPS, OutputError, Window
 from controllers.identification.parameters import Prior, from_mapping
 from experiments.__main__ import main
+from experiments.bench.bench_options import BENCHMARKS
 from experiments.bench.identification import (
     FINE_SUBSTEPS,
     PEER_SUBSTEPS,
@@ -69,6 +71,11 @@ def test_the_peer_s_least_cost_is_at_the_truth_where_its_steps_made_the_data():
 def test_unknown_benchmark_is_named(capsys):
     assert main(["bench", "--only", "speed"]) == 2
     assert "speed: unknown; there are loop, identification, mapping" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_every_benchmark_exists(name):
+    assert callable(pkgutil.resolve_name(BENCHMARKS[name]))
 
 
 @pytest.mark.slow

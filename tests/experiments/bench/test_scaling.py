@@ -8,9 +8,9 @@ import pytest
 from experiments.__main__ import main
 from experiments.bench import scaling as bench_scaling
 from experiments.bench.scaling import exponent
-from experiments.bench.table import BEGIN, END, ROWS, write_between_marks
 from experiments.harness.contract import OptionError, Options
 from experiments.harness.output import Output
+from experiments.report.bench_table import BEGIN, END, ROWS, write_between_marks
 from tests.experiments.harness.tiny import CATALOGUE
 
 

@@ -5,7 +5,8 @@ from packaging.requirements import Requirement
 
 from experiments.doctor import doctor
 from experiments.doctor import robot as doctor_robot
-from experiments.doctor.doctor import examine_packages, main, requirements
+from experiments.doctor.doctor import examine_packages, requirements, run
+from experiments.doctor.doctor_options import Options
 from experiments.doctor.robot import examine_robot
 from experiments.harness.contract import OptionError
 from twin.hardware.roboclaw.codec import Status
@@ -15,7 +16,7 @@ pytestmark = pytest.mark.real_time
 
 
 def test_doctor_is_content_here_and_names_renderer_and_checksum(capsys):
-    assert main([]) == 0
+    assert run(Options()) == 0
     text = capsys.readouterr().out
     for part in ("mujoco", "GL renderer", "sha256", "cores free"):
         assert part in text
@@ -38,7 +39,7 @@ def test_missing_library_names_its_apt_package(monkeypatch, capsys):
     monkeypatch.setattr(doctor, "can_load", lambda library: library != "libEGL.so.1")
     broken = [doctor.Finding("test frame", "none", "apt install it")]
     monkeypatch.setattr(doctor, "examine_frame", lambda: broken)
-    assert main([]) == 1
+    assert run(Options()) == 1
     text = capsys.readouterr().out
     assert "libEGL.so.1" in text and "apt install libegl1" in text
     assert "1 required" not in text and "2 required things are missing" in text
@@ -95,4 +96,4 @@ def test_stale_calibration_is_reported_before_the_boards():
 @pytest.mark.parametrize("target", ["sim", "serial", "serial:", "serial:x,baud=9"])
 def test_robot_without_boards_is_refused(target, capsys):
     with pytest.raises(OptionError, match="--robot"):
-        doctor.DoctorOptions(robot=target)
+        Options(robot=target)

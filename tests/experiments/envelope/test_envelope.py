@@ -7,10 +7,11 @@ import math
 
 import pytest
 
-from controllers.mission.team import OMITTABLE as MISSION_OMITTABLE
+from controllers.mission.config import OMITTABLE as MISSION_OMITTABLE
 from experiments.ch5.insertion_setting import OMITTABLE, Hardship
 from experiments.envelope import envelope
-from experiments.envelope.cells import AXES, LEAST_CELLS, MEDIUM, Cell, cells_of, chosen
+from experiments.envelope.axes import AXES
+from experiments.envelope.cells import LEAST_CELLS, MEDIUM, Cell, cells_of, chosen
 from experiments.envelope.figures import COLOURS
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output

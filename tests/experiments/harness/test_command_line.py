@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from experiments.__main__ import main
+from experiments.harness.catalogue import EXPERIMENTS
 from tests.experiments.harness.tiny import CATALOGUE
 
 
@@ -170,3 +171,22 @@ def test_help_lists_units_and_ends_with_status_0(capsys):
         call("tiny", "--help")
     assert stop.value.code == 0
     assert "[kg]" in capsys.readouterr().out
+
+
+def test_help_and_list_import_no_simulator():
+    """In a process of its own; help ends it, as it does a command."""
+    program = """
+import contextlib, sys
+from experiments.__main__ import main
+from experiments.harness.catalogue import EXPERIMENTS
+from experiments.harness.catalogue import COMMANDS, EXPERIMENTS
+main(["list"])
+for name in (*COMMANDS, *EXPERIMENTS):
+    with contextlib.suppress(SystemExit):
+        main([name, "--help"])
+print(sorted({"mujoco", "numba", "rerun", "cv2", "matplotlib"} & set(sys.modules)), file=sys.stderr)
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.count("--help") > len(EXPERIMENTS) and done.stderr == "[]\n"

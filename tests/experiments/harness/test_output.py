@@ -21,8 +21,9 @@ def output(tmp_path):
 
 def test_every_experiment_of_the_catalogue_keeps_the_contract():
     for experiment in EXPERIMENTS.values():
-        options_type, _ = experiment.load()
-        options_type()
+        assert issubclass(experiment.options_type(), Options)
+        experiment.options_type()()
+        assert callable(experiment.load())
         assert experiment.summary and experiment.thesis
 
 

@@ -6,22 +6,22 @@ import datetime
 import pytest
 
 from experiments.__main__ import main
-from experiments.doctor.doctor import DoctorOptions
+from experiments.doctor.doctor_options import Options as DoctorOptions
 from experiments.doctor.robot import examine_robot
 from experiments.harness import catalogue
 from experiments.harness.contract import OptionError
-from twin.connect import TARGETS
 from twin.hardware.calibration.calibration import (
     Calibration,
     calibration_path,
     calibration_text,
     read_calibration,
 )
+from twin.hardware.wiring import TARGETS
 
 WITH_ROBOT = [
     name
     for name, experiment in catalogue.EXPERIMENTS.items()
-    if "robot" in {field.name for field in dataclasses.fields(experiment.load()[0])}
+    if "robot" in {field.name for field in dataclasses.fields(experiment.options_type())}
 ]
 PORTS = "serial:/dev/no-port,analogue=/dev/no-port,wrench=127.0.0.1"
 

@@ -10,31 +10,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.__main__ import main
-from experiments.harness import contract
 from experiments.harness.catalogue import Experiment
 from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.intervals import distribution
 from experiments.harness.sweep import sweep
-
-
-@dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
-    """Options of the tiny experiment.
-
-    Attributes:
-        mass: Payload [kg].
-        fault: Kind of failure to provoke.
-        sweep: Number of jobs of a tenth of a second.
-    """
-
-    mass: float = 1.0
-    fault: str = ""
-    sweep: int = 0
-
-    def __post_init__(self):
-        super().__post_init__()
-        if self.mass <= 0:
-            raise OptionError(f"--mass: {self.mass} kg is not positive")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,7 +88,12 @@ def _swept(options, output):
 
 
 CATALOGUE = {
-    "tiny": Experiment("tiny", "a tiny experiment", "Table 0", "tests.experiments.harness.tiny")
+    "tiny": Experiment(
+        name="tiny",
+        summary="a tiny experiment",
+        thesis="Table 0",
+        module="tests.experiments.harness.tiny",
+    )
 }
 
 if __name__ == "__main__":

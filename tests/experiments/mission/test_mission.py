@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import experiments.mission.trial as trial_room
-from controllers.mission.team import STAGES
+from controllers.mission.config import STAGES
 from experiments.__main__ import main
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import experiments.mission.trial as trial_room
-from controllers.mission.team import STAGES
+from controllers.mission.config import STAGES
 from experiments.harness.sweep import _read, _write
 from experiments.mission.scene import draw_scene, survey
 from experiments.mission.shortest import shortest_path

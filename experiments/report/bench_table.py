@@ -1,13 +1,13 @@
 """``python -m experiments bench-table``: the table of docs/benchmarks.md, from metrics.json."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from experiments.harness.command_line import parse
 from experiments.harness.contract import ExperimentError, OptionError
 from experiments.harness.summary import format_metric
+from experiments.report.bench_table_options import Options
 from experiments.report.results import Result, read_result
 from perception.geometry.files import RESULTS, read_text, replace_file
 
@@ -113,29 +113,13 @@ ROWS = (
 )
 
 
-@dataclasses.dataclass(frozen=True)
-class TableOptions:
-    """Options of the table.
-
-    Attributes:
-        out: Folder of results; OUT/bench is read.
-        write: File that gets the table between its marks, for instance docs/benchmarks.md; without
-            it the table is printed.
-    """
-
-    out: Path = Path("results")
-    write: Path | None = None
-
-
-def main(arguments: Sequence[str]) -> int:
+def run(options: Options) -> int:
     """Print the table, or write it into a file; return 0.
 
     Raises:
         ExperimentError: If there is no result of bench, or it cannot be read.
         OptionError: If the file has no marks for the table.
     """
-    summary = "Make the table of benchmarks from the last run of bench."
-    options = parse(TableOptions, "bench-table", summary, arguments)
     folder = options.out / "bench"
     if not (folder / "metrics.json").exists():
         raise ExperimentError(f"no result in {folder}: run python -m experiments bench first")

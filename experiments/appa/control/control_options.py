@@ -1,0 +1,10 @@
+"""Options of ``appa-control``."""
+
+import dataclasses
+
+from experiments.harness import contract
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.SimulatedOptions):
+    """Options of appa-control."""

@@ -1,0 +1,10 @@
+"""Options of ``appd-calibration``."""
+
+import dataclasses
+
+from experiments.harness import contract
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.SimulatedOptions):
+    """Options of the calibration of the inclinometers."""

@@ -1,0 +1,10 @@
+"""Options of ``appe-bus``."""
+
+import dataclasses
+
+from experiments.harness import contract
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.Options):
+    """Options of the bus experiment; none of its own."""

@@ -1,0 +1,46 @@
+"""Options of ``ch3-stereo``."""
+
+import dataclasses
+from typing import Annotated, ClassVar
+
+import tyro
+
+from experiments.harness import contract
+from experiments.harness.contract import OptionError
+
+PARTS = ("noise", "motion", "mapping", "cooperation")
+
+
+@dataclasses.dataclass(frozen=True)
+class Options(contract.SimulatedOptions):
+    """Options of stereo mapping.
+
+    Attributes:
+        targets: Valid values of `robot`.
+        robot: Robots that map: sim, quantised or emulated. The parts noise, motion and cooperation
+            need no robot.
+        parts: Parts to run: noise, motion, mapping, cooperation (all by default).
+        scans: Number of views of each robot (by default 12; with --quick, 3).
+    """
+
+    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
+    robot: str = "sim"
+    parts: tuple[str, ...] = ()
+    scans: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+
+    def __post_init__(self) -> None:
+        """Refuse unknown parts.
+
+        Raises:
+            OptionError: Naming the part, or as `contract.Options`.
+        """
+        super().__post_init__()
+        for part in self.parts:
+            if part not in PARTS:
+                raise OptionError(f"--parts {part}: expected some of {', '.join(PARTS)}")
+        if self.scans is not None and self.scans < 1:
+            raise OptionError(f"--scans: expected at least 1, got {self.scans}")
+        if self.robot != "sim" and self.parts and "mapping" not in self.parts:
+            raise OptionError(f"--robot {self.robot}: add mapping to --parts; the others need none")
+        if self.record and self.parts and "mapping" not in self.parts:
+            raise OptionError("--record shows the map: add mapping to --parts")
