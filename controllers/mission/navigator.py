@@ -177,6 +177,8 @@ class Navigator:
         self.received: ElevationMap | None = None
         self.hindered = False
         self._whole = self.ground
+        # Height of the map over that by odometry, which drifts, where the rover is [m].
+        self._over = 0.0
         self.keep_off: Callable[[], FloatArray] = lambda: np.zeros((0, 3))
         self._steer = steer
         self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
@@ -207,6 +209,11 @@ class Navigator:
         """Whether its wheels alone tell where the rover is, as it recognises nothing on the way."""
         return self.odometry.astray >= _ASTRAY
 
+    @property
+    def heights(self) -> FloatArray:
+        """(rows, columns) heights of the map as seen from the estimate, which drifts [m]."""
+        return self.ground.heights - self._over
+
     def steer(self) -> SkidSteer:
         """Return the kinematics of the wheels with the turn share and the slide seen so far."""
         seen = self.odometry
@@ -225,7 +232,7 @@ class Navigator:
     def sight_lines(self) -> Ground:
         """Return what is mapped of the ground, for lines of sight."""
         grid = self.ground.grid
-        return Ground(self.ground.heights, np.asarray(grid.corner), grid.cell)
+        return Ground(self.heights, np.asarray(grid.corner), grid.cell)
 
     def is_due(self, seen: Observation) -> bool:
         """Return whether a rover on its way should take the pair that it has now."""
@@ -283,7 +290,10 @@ class Navigator:
         turn = camera.rotation.as_matrix()
         places = camera.apply(points.points[kept])
         outside = ~within(places, self._own_spheres(seen))
-        fitted = aligned(self.ground, places[outside], camera.translation, covariance)
+        over = np.array([0.0, 0.0, self._over])
+        eye = camera.translation + over
+        fitted = aligned(self.ground, places[outside] + over, eye, covariance)
+        self._over += fitted.rise
         spread = (turn @ points.covariances[kept] @ turn.T)[outside]
         self.ground.insert(fitted.points, spread, fitted.covariance)
 
@@ -316,9 +326,14 @@ class Navigator:
         """
         before = self.odometry.level_pose()
         self.odometry.localize(found, self._stamp)
-        if not self.localized:
-            moved = self.odometry.level_pose() * before.inv()
-            self.ground = self.ground.moved(levelled(moved), self.odometry.covariance)
+        after = self.odometry.level_pose()
+        if self.localized:
+            self._over += float(before.translation[2] - after.translation[2])
+        else:
+            down = RigidTransform.from_translation([0.0, 0.0, -self._over])
+            self._over = 0.0
+            moved = after * before.inv()
+            self.ground = self.ground.moved(levelled(moved) * down, self.odometry.covariance)
             self._looks[...] = 0
             self._bumps = [np.asarray(moved.apply([*place, 0.0]))[:2] for place in self._bumps]
         self.localized = True
@@ -356,7 +371,7 @@ class Navigator:
         high = obstacles(rises(self.ground, paths.window), self._config.touches, paths.least)
         rows, columns = np.nonzero(high)
         centres = self.ground.grid.centres[rows, columns]
-        return np.column_stack([centres, self.ground.heights[rows, columns]])
+        return np.column_stack([centres, self.heights[rows, columns]])
 
     def columns(self, least: float) -> FloatArray:
         """Return points (N, 3) of what stands on the mapped ground, in the frame [m].
@@ -369,7 +384,7 @@ class Navigator:
         planned, step = self._planned(), self.ground.grid.cell
         above = rises(planned, self._config.paths.window)
         cells = above > least
-        tall, tops = above[cells], planned.heights[cells]
+        tall, tops = above[cells], planned.heights[cells] - self._over
         counts = np.ceil(tall / step).astype(np.int64)
         which = np.repeat(np.arange(len(tops)), counts)
         below = step * (np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts))
@@ -581,7 +596,7 @@ class Navigator:
         What was mapped before its estimate drifted stands as cliffs about what it maps now. For a
         rover that the panel has not localized: the map of the site is in the panel's frame.
         """
-        self.ground = ElevationMap(self.ground.grid)
+        self.ground, self._over = ElevationMap(self.ground.grid), 0.0
         self._looks[...] = 0
 
     def back_off(self, held: bool) -> None:

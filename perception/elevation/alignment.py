@@ -29,10 +29,12 @@ class AlignedView(NamedTuple):
         points: (N, 3) points [m], world.
         covariance: (6, 6) covariance of the camera's pose in what tells heights: both tilts and the
             height, as a twist in the world; zero in all else.
+        rise: Height by which the camera was moved [m].
     """
 
     points: FloatArray
     covariance: FloatArray
+    rise: float
 
 
 def aligned(
@@ -71,4 +73,4 @@ def aligned(
     moved = points + np.outer(by_error @ error, [0.0, 0.0, 1.0])
     left = np.zeros((6, 6))
     left[np.ix_(told, told)] = np.linalg.inv(information)
-    return AlignedView(moved, transport_covariance(centre, left))
+    return AlignedView(moved, transport_covariance(centre, left), float(error[2]))

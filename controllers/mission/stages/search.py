@@ -305,7 +305,7 @@ class SearchPanel(DrivingPart):
             foot = pose.apply([0.0, 0.0, -self._belief.robot.centre_height])
             return np.array([foot[2] - slopes @ foot[:2], *slopes])
         places = ground.grid.centres[rows, columns]
-        heights = ground.heights[rows, columns]
+        heights = self._navigator.heights[rows, columns]
         basis = np.column_stack([np.ones(len(rows)), places])
         plane = np.linalg.lstsq(basis, heights, rcond=None)[0]
         low = heights - basis @ plane < 0.05  # noqa: PLR2004

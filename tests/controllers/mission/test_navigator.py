@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from controllers.insertion.camera_station import camera_arm
+from controllers.mapping.localization import RobotLocalization
 from controllers.mission.belief import MissionBelief
 from controllers.mission.navigator import NavigatorConfig, _filled  # pyright: ignore
 from controllers.motion.driving import SkidSteer
 from models.datasheets import CAMERA
+from perception.stereo.matching import StereoPoints
 from tests.controllers.mission.hand_made import POSES, SITE
 from tests.controllers.motion.seen import PAIR, seen_at
 from twin.describe import describe_rover
@@ -450,3 +453,45 @@ def test_an_astray_rover_stops_and_maps_nothing_until_it_resigns(monkeypatch):
         assert navigator.waits == (not maps)
         navigator.resign()
         assert not navigator.astray
+
+
+def level_view(camera, rng):
+    """Return the points of level ground ahead of a camera, in its frame."""
+    ahead = camera.rotation.apply([0.0, 0.0, 1.0])[:2]
+    ahead /= np.linalg.norm(ahead)
+    far, aside = rng.uniform(0.4, 1.3, 4000), rng.uniform(-0.5, 0.5, 4000)
+    across = np.array([ahead[1], -ahead[0]])
+    flat = camera.translation[:2] + far[:, None] * ahead + aside[:, None] * across
+    points = camera.apply(np.column_stack([flat, np.zeros(len(far))]), inverse=True)
+    covariances = np.broadcast_to(np.diag([1e-6, 1e-6, 1e-5]), (len(points), 3, 3))
+    empty = np.zeros((len(points), 2)), np.zeros(len(points)), np.zeros(len(points))
+    return StereoPoints(np.asarray(points), covariances, *empty)
+
+
+def localized_at(navigator, rise):
+    """Return a localization where the rover believes to be, but so high above its beginning."""
+    place = RigidTransform.from_translation([*navigator.place, rise])
+    arm, _ = camera_arm(ROBOT)
+    return RobotLocalization(arm, place, 1e-6 * np.eye(6), np.zeros((6, 10)))
+
+
+def test_a_rover_whose_height_drifts_maps_level_ground_as_level_and_where_it_believes_it():
+    """By 0.6 m on its way there and back, beyond what the fit of one view to the map allows."""
+    rover, rng = Rolling(), np.random.default_rng(0)
+    navigator = rover.navigator
+    camera = navigator.odometry.camera(rover.seen.time)[0]
+    sure = np.diag(np.square([0.02, 0.02, 0.02, 0.02, 0.02, 0.1]))
+    for step in range(61):
+        way = 0.1 * min(step, 60 - step)
+        true = RigidTransform.from_translation([0.0, way, 0.0]) * camera
+        sunk = RigidTransform.from_translation([0.0, 0.0, -0.01 * step])
+        navigator._map(rover.seen, level_view(true, rng), sunk * true, sure)  # pyright: ignore
+    known = navigator.ground.known
+    assert np.count_nonzero(known) > 3000
+    assert np.ptp(navigator.ground.heights[known]) < 0.02
+    assert not navigator.high_places().size
+    np.testing.assert_allclose(navigator.heights[known], -0.6, atol=0.02)
+    navigator.localize(localized_at(navigator, rise=0.6))
+    np.testing.assert_allclose(navigator.heights[navigator.ground.known], 0.0, atol=0.02)
+    navigator.localize(localized_at(navigator, rise=0.3))
+    np.testing.assert_allclose(navigator.heights[navigator.ground.known], -0.3, atol=0.02)
