@@ -16,7 +16,8 @@ from experiments.harness.contract import OptionError
 from experiments.harness.output import Output
 from experiments.mission import mission
 from experiments.mission.collisions import Collision
-from experiments.mission.mission import DEMONSTRATION, Options, run
+from experiments.mission.mission import run
+from experiments.mission.mission_options import DEMONSTRATION, Options
 from experiments.mission.scene import MASTER, SLAVE, MissionScene, draw_scene
 from experiments.mission.trial import (
     BeliefResult,
