@@ -225,7 +225,6 @@ _ALL: tuple[Experiment, ...] = (
 
 EXPERIMENTS: dict[str, Experiment] = {experiment.name: experiment for experiment in _ALL}
 
-# name -> (module with main(arguments) -> exit status, summary)
 COMMANDS: dict[str, Command] = {
     command.name: command
     for command in (
