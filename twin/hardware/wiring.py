@@ -38,7 +38,7 @@ class Wiring:
         stereo: One or two captures, as "0:1" or "left.avi:right.avi", or the file of an emulator,
             "rover1.frames"; empty for none.
         robot: Name of the robot.
-        calibration: File of its calibration; the repository's own unless given.
+        calibration: File of its calibration; unless given, that of `calibration_path`.
         most_days: Largest age of the calibration [days].
         home: (4,) joint angles of the arm in its jig [rad]; empty if it is not in the jig.
         radio: Serial port of the radio modem; empty for none.
