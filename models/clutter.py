@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from perception.geometry.arrays import FloatArray
+from perception.geometry.arrays import FloatArray, IndexArray
 
 STRUT_RADIUS = 0.006
 """Radius of the two rods that hold the panel up [m]."""
@@ -211,21 +212,27 @@ class Solids:
         """(N,) radius of the upright cylinder about each box [m]."""
         return np.hypot(self.half_sizes[:, 0], self.half_sizes[:, 1])
 
-    def above(self, points: FloatArray) -> Iterator[tuple[float, FloatArray, FloatArray]]:
-        """Yield each solid as points see it.
+    def above(
+        self, points: FloatArray
+    ) -> Iterator[tuple[float, FloatArray, IndexArray, FloatArray]]:
+        """Yield each solid as the points see it that its cylinder holds.
 
         Args:
-            points: (..., 2) [m], world.
+            points: (K, 2) [m], world.
 
         Yields:
-            Height of the centre [m], half sizes (3,) [m], and the points (2, ...) [m] in the
-            solid's own frame.
+            Height of the centre [m], half sizes (3,) [m], indices (L,) of the points, and these
+            (2, L) [m] in the solid's own frame.
         """
-        for centre, half, yaw in zip(self.centres, self.half_sizes, self.yaws, strict=True):
-            offset = points - centre[:2]
-            along = offset[..., 0] * np.cos(yaw) + offset[..., 1] * np.sin(yaw)
-            across = offset[..., 1] * np.cos(yaw) - offset[..., 0] * np.sin(yaw)
-            yield centre[2], half, np.stack([along, across])
+        reach = self.radii * (1.0 + 1e-9)  # Corners lie on the cylinder.
+        about = cKDTree(points).query_ball_point(self.centres[:, :2], reach)
+        for centre, half, yaw, held in zip(
+            self.centres, self.half_sizes, self.yaws, about, strict=True
+        ):
+            index = np.array(held, dtype=np.intp)
+            x, y = (points[index] - centre[:2]).T
+            along, across = x * np.cos(yaw) + y * np.sin(yaw), y * np.cos(yaw) - x * np.sin(yaw)
+            yield centre[2], half, index, np.stack([along, across])
 
 
 NO_SOLIDS = Solids(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))

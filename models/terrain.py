@@ -68,17 +68,18 @@ class Terrain:
         Returns:
             (...) heights [m].
         """
-        points = np.asarray(points, dtype=float)
-        heights = self.ground_at(points)
-        for height, axes, (along, across) in self.rocks.above(points):
+        places = np.asarray(points, dtype=float)
+        flat = places.reshape(-1, 2)
+        heights = self.ground_at(flat)
+        for height, axes, index, (along, across) in self.rocks.above(flat):
             inside = 1.0 - (along / axes[0]) ** 2 - (across / axes[1]) ** 2
             top = height + axes[2] * np.sqrt(np.maximum(inside, 0.0))
-            heights = np.where(inside > 0.0, np.maximum(heights, top), heights)
+            heights[index] = np.where(inside > 0.0, np.maximum(heights[index], top), heights[index])
         for boxes in (self.blocks, self.screens):
-            for height, half, (along, across) in boxes.above(points):
-                inside = (np.abs(along) <= half[0]) & (np.abs(across) <= half[1])
-                heights = np.where(inside, np.maximum(heights, height + half[2]), heights)
-        return heights
+            for height, half, index, (along, across) in boxes.above(flat):
+                under = index[(np.abs(along) <= half[0]) & (np.abs(across) <= half[1])]
+                heights[under] = np.maximum(heights[under], height + half[2])
+        return heights.reshape(places.shape[:-1])
 
     def rise_at(self, points: ArrayLike) -> FloatArray:
         """Return by how much the surface stands out of the bare ground.

@@ -6,6 +6,7 @@ rather keeps off both. Unknown ground is free, as a rover sees what is before it
 """
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 
 import cv2
@@ -291,7 +292,8 @@ def _pooled(cells: BoolArray, pool: int) -> BoolArray:
     rows, columns = (-(-count // pool) for count in cells.shape)
     whole = np.zeros((rows * pool, columns * pool), bool)
     whole[: cells.shape[0], : cells.shape[1]] = cells
-    return np.any(whole.reshape(rows, pool, columns, pool), axis=(1, 3))
+    offsets = itertools.product(range(pool), repeat=2)
+    return np.logical_or.reduce([whole[down::pool, right::pool] for down, right in offsets])
 
 
 def _disc_gaps(

@@ -112,6 +112,35 @@ class _Past(NamedTuple):
         return abs(self.rolled[0]) + abs(self.rolled[1]) > _STANDING
 
 
+class _Steps:
+    """Way of the wheels in each tick that is kept, as rows of one array that grows.
+
+    A row holds time, distance [m] and turn [rad] of rolling wheels, and the direction downhill (2,).
+    """
+
+    def __init__(self) -> None:
+        self._rows, self._first, self._end = np.empty((1024, 5)), 0, 0
+
+    def append(self, past: _Past) -> None:
+        """Add the newest tick."""
+        if self._end == len(self._rows):
+            kept = self._rows[self._first : self._end].copy()
+            self._rows = np.empty((2 * len(kept), 5))
+            self._rows[: len(kept)], self._first, self._end = kept, 0, len(kept)
+        self._rows[self._end] = past.time, *past.rolled, *past.downhill
+        self._end += 1
+
+    def drop(self) -> None:
+        """Remove the oldest tick."""
+        self._first += 1
+
+    def between(self, begin: float, end: float) -> FloatArray:
+        """Return the rows (N, 5) after one time and up to another [s]."""
+        rows = self._rows[self._first : self._end]
+        first, last = np.searchsorted(rows[:, 0], [begin, end], side="right")
+        return rows[first:last]
+
+
 class _Seen(NamedTuple):
     """A view that motions are measured from.
 
@@ -169,6 +198,7 @@ class VisualOdometry:
         self._rolling = dataclasses.replace(steer, turn_share=1.0, turn_sigma=0.0, slide=0.0)
         self._information = 1.0 / max(steer.turn_sigma, 1e-3) ** 2
         self._pasts: collections.deque[_Past] = collections.deque()
+        self._steps = _Steps()
         self._pose = RigidTransform.identity()
         self._at: _Past | None = None
         # Tick and pose of the last prediction, and what it gave.
@@ -210,8 +240,10 @@ class VisualOdometry:
         self.distance += abs(rolled[0])
         self.turned += max(self.turn_share, _QUICK) * rolled[1]
         self._pasts.append(_Past(seen.time, rolled, tilt, downhill(tilt), angles))
+        self._steps.append(self._pasts[-1])
         while self._pasts[0].time < min(seen.time - _KEPT, self._at.time):
             self._pasts.popleft()
+            self._steps.drop()
 
     def estimate(self) -> tuple[RigidTransform, FloatArray]:
         """Return the rover's pose in the frame as of now, and its covariance (6, 6)."""
@@ -316,11 +348,10 @@ class VisualOdometry:
             end: Tick at the end.
             slide: How far it slides, as `slide` [m/rad]; None for that.
         """
-        between = [past for past in self._pasts if begin.time < past.time <= end.time]
-        if not between:
+        between = self._steps.between(begin.time, end.time)
+        if not len(between):
             return RigidTransform.identity(), 0.0
-        steps = np.array([past.rolled for past in between])
-        slopes = np.array([past.downhill for past in between])
+        steps, slopes = between[:, 1:3], between[:, 3:]
         turns = self.turn_share * steps[:, 1]
         yaw = np.cumsum(turns) - 0.5 * turns
         flat = (self.slide if slide is None else slide) * np.abs(steps[:, 1])[:, None] * slopes
@@ -374,8 +405,8 @@ class VisualOdometry:
         motion = begin.inv() * levelled(pose)
         rolled, angle = self._rolled_since(before, after, slide=0.0)
         way = float(np.linalg.norm(rolled.translation))
-        steps = [p.rolled[1] for p in self._pasts if before.time < p.time <= after.time]
-        turned, seen = float(np.sum(steps)), float(motion.rotation.as_euler("ZXY")[0])
+        turned = float(self._steps.between(before.time, after.time)[:, 2].sum())
+        seen = float(motion.rotation.as_euler("ZXY")[0])
         # One that turns on the spot may roll, but to stay there.
         if way > max(_SPOT * angle, _ROLLED):
             self.slip = 1.0 - float(np.linalg.norm(motion.translation)) / way

@@ -172,14 +172,14 @@ def _solve(counts: Any, sums: Any, pairs: Any, prior: Any, solved: Any, leverage
     for cell in range(len(solved)):
         # The constant term comes last, so that elimination leaves its equation alone.
         for i in range(n):
-            for j in range(n):
+            for j in range(i, n):
                 rows[i, j] = counts[cell, pairs[n - 1 - i, n - 1 - j]]
             rows[i, i] += prior[n - 1 - i]
             rows[i, n] = sums[cell, n - 1 - i]
         for i in range(n - 1):
             for k in range(i + 1, n):
-                factor = rows[k, i] / rows[i, i]
-                for j in range(i, n + 1):
+                factor = rows[i, k] / rows[i, i]  # What is below the diagonal mirrors what is above.
+                for j in range(k, n + 1):
                     rows[k, j] -= factor * rows[i, j]
         solved[cell] = rows[n - 1, n] / rows[n - 1, n - 1]
         leverages[cell] = 1.0 / rows[n - 1, n - 1]

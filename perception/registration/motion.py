@@ -208,9 +208,13 @@ def agreeing(
     best: tuple[float, PoseSolution, BoolArray] | None = None
     fitted_before: set[bytes] = set()
     if guess is not None:
-        best = _settle(guess, known, alone, sight, fitted_before)
-        if best is not None and best[2].sum() >= _CLEARLY * count:
-            return best[1], best[2]
+        # Where few are wrong the fit to all is nearer than a rough guess.
+        for pose in (guess, fitted.pose) if fitted else (guess,):
+            found = _settle(pose, known, alone, sight, fitted_before)
+            if found is not None and found[2].sum() >= _CLEARLY * count:
+                return found[1], found[2]
+            if found is not None and (best is None or found[0] < best[0]):
+                best = found
     for pose in _proposals(alone, sight, guess, rng):
         found = _settle(pose, known, alone, sight, fitted_before)
         if found is not None and (best is None or found[0] < best[0]):

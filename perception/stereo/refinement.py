@@ -76,7 +76,7 @@ def _refine(left, right, pixels, starts, half, iterations, result):
     normal, target, step, plane = np.zeros((4, 4)), np.zeros(4), np.zeros(4), np.zeros(4)
     lower = np.zeros((4, 4))
     # Pixels of a window in one row, so that they are taken several at a time.
-    window, within = np.empty((3, count)), np.empty(count, np.int32)
+    window, within = np.empty((3, count), np.float32), np.empty(count, np.int32)
     for n in range(pixels.shape[0]):
         u, v = pixels[n, 0], pixels[n, 1]
         if u < half or u >= columns - half or v < half or v >= rows - half:
@@ -89,11 +89,11 @@ def _refine(left, right, pixels, starts, half, iterations, result):
                 i += 1
         plane[:3] = starts[n]
         plane[3] = 0.0
-        fitted = False
+        fitted, squares = False, 0.0
         for _ in range(iterations):
             if not _inside(u, half, columns, plane):
                 break
-            _accumulate(window, within, right, plane, normal, target)
+            squares = _accumulate(window, within, right, plane, normal, target)
             if not _solve(normal, target, lower, step):
                 break
             plane += step
@@ -101,12 +101,12 @@ def _refine(left, right, pixels, starts, half, iterations, result):
             moved = abs(plane[0] - starts[n, 0])
             if moved > 2.0 or abs(plane[1]) > 0.7 or abs(plane[2]) > 1.5:
                 break
-            if abs(step[0]) < 1e-3 and half * (abs(step[1]) + abs(step[2])) < 1e-2:
+            # What is left is a tenth of the step or so.
+            if abs(step[0]) < 3e-3 and half * (abs(step[1]) + abs(step[2])) < 2e-2:
                 fitted = True
                 break
         if not (fitted and _inside(u, half, columns, plane)):
             continue
-        squares = _accumulate(window, within, right, plane, normal, target)
         target[:] = 0.0
         target[0] = 1.0
         if not _solve(normal, target, lower, step):
@@ -154,18 +154,16 @@ def _accumulate(window, within, right, plane, normal, target):
     Returns:
         The sum of squares.
     """
-    d, a, b, offset = plane[0], plane[1], plane[2], plane[3]
-    squares = 0.0
-    gg, ggx, ggy, gxgx, gxgy, gygy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    g_sum, gx_sum, gy_sum, g_error, gx_error, gy_error, error_sum = (
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
-        0.0,
+    # Of single precision, of which the processor takes twice as many at a time.
+    d, a, b, offset = (
+        np.float32(plane[0]),
+        np.float32(plane[1]),
+        np.float32(plane[2]),
+        np.float32(plane[3]),
     )
+    half, zero = np.float32(0.5), np.float32(0.0)
+    squares = gg = ggx = ggy = gxgx = gxgy = gygy = zero
+    g_sum = gx_sum = gy_sum = g_error = gx_error = gy_error = error_sum = zero
     for i in range(within.size):
         x, y = window[0, i], window[1, i]
         moved = -(d + a * x + b * y)
@@ -175,11 +173,11 @@ def _accumulate(window, within, right, plane, normal, target):
         p, q = right[k - np.uint32(1)], right[k]
         r, s = right[k + np.uint32(1)], right[k + np.uint32(2)]
         # Catmull-Rom: the curve through q and r with central differences as slopes.
-        c1 = 0.5 * (r - p)
-        c2 = p - 2.5 * q + 2.0 * r - 0.5 * s
-        c3 = 0.5 * (s - p) + 1.5 * (q - r)
+        c1 = half * (r - p)
+        c2 = p - (q + q) + (r + r) - half * (q + s)
+        c3 = half * (s - p + q - r) + (q - r)
         value = q + t * (c1 + t * (c2 + t * c3))
-        g = c1 + t * (2.0 * c2 + t * 3.0 * c3)
+        g = c1 + t * (c2 + c2 + t * (c3 + c3 + c3))
         error = window[2, i] - value - offset
         gx, gy = g * x, g * y
         squares += error * error
