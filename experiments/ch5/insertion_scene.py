@@ -194,8 +194,9 @@ class CardForces:
             guided: Whether force guides the card.
         """
         self.peak = max(self.peak, float(np.linalg.norm(contact_force(data))))
-        if guided and card_in_slot(data)[1] < _CONNECTOR:
-            self.touch = max(self.touch, float(np.linalg.norm(data.sensor(CARD_TOUCH).data)))
+        touch = float(np.linalg.norm(data.sensor(CARD_TOUCH).data))
+        if guided and touch > self.touch and card_in_slot(data)[1] < _CONNECTOR:
+            self.touch = touch
 
 
 def is_seated(card: FloatArray, width: float) -> bool:

@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.camera_station import CameraStation
 from controllers.insertion.card_inserter import InsertionStage
@@ -19,7 +19,6 @@ from experiments.ch5.insertion_scene import (
     card_in_slot,
     contact_force,
     is_seated,
-    transform_between,
 )
 from experiments.ch5.insertion_setting import InsertionTrial, Setting, prepare
 from perception.geometry.arrays import FloatArray
@@ -113,7 +112,10 @@ class Scorer(LoopRecorder):
         self.whole: list[bool] = []
         self.nees: list[float] = []
         self._setting, self._stamp = setting, math.nan
-        self._truths: deque[tuple[float, RigidTransform]] = deque(maxlen=_TICKS)
+        # Time of each tick, and places and quaternions of slot and card then.
+        self._truths: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_TICKS)
+        data = setting.simulation.data
+        self._bodies = [data.body(name).id for name in ("slot", f"{SLAVE}/card")]
 
     def record(self, tick: Tick) -> None:
         """Take one tick."""
@@ -121,7 +123,7 @@ class Scorer(LoopRecorder):
         inserter, sent = team.slave.inserter, team.master.sent
         force = contact_force(data)
         now = tick.observations[MASTER].time  # By the clock that stamps what the master sends.
-        self._truths.append((now, transform_between(data, "slot", f"{SLAVE}/card")))
+        self._truths.append((now, data.xpos[self._bodies], data.xquat[self._bodies]))
         self.forces.note(data, inserter.guide is not None)
         self.finite &= bool(np.isfinite(data.qpos).all())
         if inserter.guide is not None and math.isnan(self.hand_over[0]):
@@ -142,7 +144,10 @@ class Scorer(LoopRecorder):
 
     def _truth_at(self, time: float) -> RigidTransform:
         """Return the true transform from the slot to the card at the time of a pair."""
-        return min(self._truths, key=lambda entry: abs(entry[0] - time))[1]
+        _, places, quaternions = min(self._truths, key=lambda entry: abs(entry[0] - time))
+        rotations = Rotation.from_quat(quaternions, scalar_first=True)
+        slot, card = RigidTransform.from_components(places, rotations)
+        return card.inv() * slot
 
 
 def perform(setting: Setting, recorders: Sequence[LoopRecorder] = ()) -> InsertionOutcome:
