@@ -115,7 +115,8 @@ class _Past(NamedTuple):
 class _Steps:
     """Way of the wheels in each tick that is kept, as rows of one array that grows.
 
-    A row holds time, distance [m] and turn [rad] of rolling wheels, and the direction downhill (2,).
+    A row holds time [s], distance [m] and turn [rad] of rolling wheels, and the direction downhill
+    (2,).
     """
 
     def __init__(self) -> None:

@@ -229,6 +229,11 @@ COMMANDS: dict[str, Command] = {
     command.name: command
     for command in (
         Command(
+            "view",
+            "a scene to look at, drive and push, in MuJoCo's viewer or the browser",
+            "experiments.live.view",
+        ),
+        Command(
             "doctor",
             "versions, renderer, and what is missing on this machine",
             "experiments.doctor.doctor",

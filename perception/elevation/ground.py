@@ -178,7 +178,7 @@ def _solve(counts: Any, sums: Any, pairs: Any, prior: Any, solved: Any, leverage
             rows[i, n] = sums[cell, n - 1 - i]
         for i in range(n - 1):
             for k in range(i + 1, n):
-                factor = rows[i, k] / rows[i, i]  # What is below the diagonal mirrors what is above.
+                factor = rows[i, k] / rows[i, i]  # The equations are symmetric.
                 for j in range(k, n + 1):
                     rows[k, j] -= factor * rows[i, j]
         solved[cell] = rows[n - 1, n] / rows[n - 1, n - 1]

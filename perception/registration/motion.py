@@ -200,7 +200,7 @@ def agreeing(
     count = len(sight.image_points)
     everybody = np.ones(count, np.bool_)
     alone = _alone(known)
-    start = guess or _kabsch_start(known, sight)
+    start, fitted = guess or _kabsch_start(known, sight), None
     for pose in (start, _kabsch_start(known, sight)) if guess else (start,):
         fitted = _fit(pose, known, sight, everybody)
         if fitted and np.all(squared_distances(fitted.pose, alone, sight) <= GATE):

@@ -6,7 +6,7 @@ import pytest
 
 from experiments.report.report import write_report
 from experiments.report.results import read_results
-from tests.experiments.report import browser
+from tests.experiments import browser
 from tests.experiments.report.browser_report import sound_pictures
 
 LIMIT = 20_000_000  # [bytes]

@@ -1,6 +1,6 @@
 """What a browser must find in a report."""
 
-from tests.experiments.report.browser import Browser
+from tests.experiments.browser import Browser
 
 LEAST_WIDTH = 100  # [px] of a picture that is there
 _STICKING_OUT = (

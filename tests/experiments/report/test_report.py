@@ -12,8 +12,8 @@ from experiments.report.html import command
 from experiments.report.images import WIDTH, embed
 from experiments.report.report import write_report
 from experiments.report.results import read_result
+from tests.experiments import browser
 from tests.experiments.harness.tiny import CATALOGUE
-from tests.experiments.report import browser
 from tests.experiments.report.browser_report import sound_pictures
 from tests.hostile_files import png_of_zeros
 
