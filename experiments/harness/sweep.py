@@ -148,7 +148,7 @@ def _backend(options: Options) -> Iterator[None]:
         distributed = importlib.import_module("distributed")
     except ImportError:
         raise ExperimentError(
-            "--backend dask: the package distributed is missing (pip install distributed)"
+            "--backend dask: the package distributed is missing (pip install 'fieldtwin[dask]')"
         ) from None
     try:
         client = distributed.Client(options.scheduler, timeout=CONNECT_TIMEOUT)

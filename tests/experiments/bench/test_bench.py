@@ -1,6 +1,7 @@
 import dataclasses
 import json
 import pkgutil
+import sys
 
 import numpy as np
 import pytest
@@ -87,3 +88,13 @@ def test_identification_beside_its_peer(tmp_path):
     # Both seek the same optimum; what differs is chance and the weak prior.
     assert ours < 10.0 and peer < 10.0
     assert measured["sysid_time_ratio"]["median"] > 0.0
+
+
+def test_a_peer_that_is_not_installed_is_named_with_its_extra(monkeypatch, tmp_path, capsys):
+    monkeypatch.setitem(sys.modules, "pyoctomap", None)
+    monkeypatch.delitem(sys.modules, "experiments.bench.mapping", raising=False)
+    assert main(["bench", "--only", "mapping", "--out", str(tmp_path)]) == 1
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last == (
+        "error: --only mapping: the peer pyoctomap is missing (pip install 'fieldtwin[peers]')"
+    )

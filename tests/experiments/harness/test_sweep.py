@@ -160,7 +160,7 @@ def test_missing_dask_is_reported_in_one_error(tmp_path, monkeypatch):
         raise ImportError(name)
 
     monkeypatch.setattr(importlib, "import_module", missing)
-    with pytest.raises(ExperimentError, match="pip install distributed"):
+    with pytest.raises(ExperimentError, match=r"pip install .fieldtwin\[dask\]"):
         go(tmp_path, configs(tmp_path, 1), backend="dask", scheduler="tcp://127.0.0.1:1")
 
 
