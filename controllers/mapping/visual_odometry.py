@@ -120,13 +120,13 @@ class _Steps:
     """
 
     def __init__(self) -> None:
-        self._rows, self._first, self._end = np.empty((1024, 5)), 0, 0
+        self._rows, self._first, self._end = np.zeros((1024, 5)), 0, 0
 
     def append(self, past: _Past) -> None:
         """Add the newest tick."""
         if self._end == len(self._rows):
             kept = self._rows[self._first : self._end].copy()
-            self._rows = np.empty((2 * len(kept), 5))
+            self._rows = np.zeros((2 * len(kept), 5))
             self._rows[: len(kept)], self._first, self._end = kept, 0, len(kept)
         self._rows[self._end] = past.time, *past.rolled, *past.downhill
         self._end += 1

@@ -251,7 +251,7 @@ def _extents(points: FloatArray) -> FloatArray:
     squares = np.linalg.eigvalsh(away.T @ away)[::-1]  # Quick, but with half the digits.
     if squares[-1] > _NOT_FLAT * squares[0]:
         return np.sqrt(squares)
-    return np.linalg.svd(away, compute_uv=False)
+    return np.asarray(np.linalg.svd(away, compute_uv=False), dtype=np.float64)
 
 
 def _compile(hulls: Sequence[ConvexHull]) -> HullParts:
