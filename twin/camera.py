@@ -249,7 +249,7 @@ class Renderer:
 def _make_gl(width: int, height: int) -> Any:
     """Return an off-screen context of the kind that MUJOCO_GL names, EGL by default."""
     kind = os.environ.get("MUJOCO_GL", "egl").lower()
-    # Threads of Mesa's rasteriser cost a quarter more processor time and save no time.
+    # Threads of Mesa's rasteriser cost a quarter more processor time and save hardly any time.
     os.environ.setdefault("LP_NUM_THREADS", "0")
     try:
         # Imported here because it loads the driver, and by name because without MUJOCO_GL at its
