@@ -8,6 +8,7 @@ rather keeps off both. Unknown ground is free, as a rover sees what is before it
 import dataclasses
 import itertools
 from collections.abc import Callable
+from typing import NamedTuple
 
 import cv2
 import numba
@@ -16,8 +17,6 @@ from numpy.typing import ArrayLike
 
 from controllers.mapping.planar_paths import shortest_paths
 from perception.elevation.grid import ElevationGrid
-from perception.elevation.ground import rises
-from perception.elevation.map import ElevationMap
 from perception.geometry.arrays import BoolArray, FloatArray
 from perception.geometry.checks import check_numbers
 
@@ -48,7 +47,6 @@ class GroundPathConfig:
             square of what a path costs there, as a rover slides aside while it turns.
         inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
             map has within it at the start is none.
-        window: Side of the square about a cell whose ground is fitted [m].
         least: Fewest higher cells in a square of three by three that are an obstacle: one alone is
             noise where cells are smaller than rocks.
         pool: Number of cells along each side that make one of the paths' cells: small cells tell
@@ -65,7 +63,6 @@ class GroundPathConfig:
     near_cost: float = 3.0
     corner: float = 0.15
     inner: float = 0.2
-    window: float = 0.9
     least: int = 1
     pool: int = 1
 
@@ -78,6 +75,19 @@ class GroundPathConfig:
         names = {field.name for field in dataclasses.fields(self)} - {"near_cost"}
         check_numbers("ground path", self, *sorted(names))
         check_numbers("ground path", self, "near_cost", zero=True)
+
+
+class MappedRises(NamedTuple):
+    """What is mapped of what stands on the ground.
+
+    Attributes:
+        grid: Cells of the map, world.
+        above: (rows, columns) heights of the cells above the ground about them [m]; NaN where
+            unknown.
+    """
+
+    grid: ElevationGrid
+    above: FloatArray
 
 
 def obstacles(rises: FloatArray, climb: float, least: int = 1) -> BoolArray:
@@ -98,7 +108,7 @@ def obstacles(rises: FloatArray, climb: float, least: int = 1) -> BoolArray:
 
 
 def plan_path(
-    elevation: ElevationMap,
+    mapped: MappedRises,
     start: ArrayLike,
     goal: ArrayLike,
     discs: ArrayLike | None = None,
@@ -112,7 +122,7 @@ def plan_path(
     further disc that it stands in no deeper.
 
     Args:
-        elevation: Map of the ground, world.
+        mapped: What is mapped.
         start: (2,) position of the rover's middle [m], world.
         goal: (2,) position to be reached [m], world.
         discs: (M, 3) further discs that no part of the rover may enter, as other robots: x and
@@ -127,11 +137,11 @@ def plan_path(
         there is no path, or one of both is beyond the map, or the rover may not be at the goal.
     """
     config = config or GroundPathConfig()
-    grid = _paths_grid(elevation.grid, config.pool)
+    grid = _paths_grid(mapped.grid, config.pool)
     begin, end = np.asarray(start, dtype=float), np.asarray(goal, dtype=float)
     if not grid.inside(grid.cells_of([begin, end])).all():
         return None
-    costs = path_costs(elevation, begin, discs, config, doubted)
+    costs = path_costs(mapped, begin, discs, config, doubted)
     path = _path_over(costs, grid, begin, end, config.corner)
     if path is not None and kept is not None:
         old, new = (_cost_of(each, costs, grid, config.corner) for each in (kept, path))
@@ -140,7 +150,7 @@ def plan_path(
 
 
 def path_lengths(
-    elevation: ElevationMap,
+    mapped: MappedRises,
     start: ArrayLike,
     goals: ArrayLike,
     discs: ArrayLike | None = None,
@@ -152,7 +162,7 @@ def path_lengths(
     They are what the paths cost, so more than their length beside obstacles and over rocks.
 
     Args:
-        elevation: Map of the ground, world.
+        mapped: What is mapped.
         start: (2,) position of the rover's middle [m], world; within the map.
         goals: (N, 2) positions to be reached [m], world.
         discs: (M, 3) further discs, as in `plan_path`.
@@ -163,13 +173,13 @@ def path_lengths(
         (N,) lengths [m]; infinite where no path leads, and beyond the map.
     """
     config = config or GroundPathConfig()
-    grid = _paths_grid(elevation.grid, config.pool)
+    grid = _paths_grid(mapped.grid, config.pool)
     begin = np.asarray(start, dtype=float)
     first = tuple(grid.cells_of([begin])[0].tolist())
     cells = grid.cells_of(np.asarray(goals, dtype=float))
     inside = grid.inside(cells)
     lengths = np.full(len(cells), np.inf)
-    costs = path_costs(elevation, begin, discs, config, doubted)
+    costs = path_costs(mapped, begin, discs, config, doubted)
     inside[inside] = np.isfinite(costs[*cells[inside].T])
     if inside.any():
         paths = shortest_paths(costs, first, grid.cell, goals=cells[inside])
@@ -178,7 +188,7 @@ def path_lengths(
 
 
 def standing_places(
-    elevation: ElevationMap,
+    mapped: MappedRises,
     start: ArrayLike,
     room: float | None,
     discs: ArrayLike | None = None,
@@ -188,7 +198,7 @@ def standing_places(
     """Return whether a rover gets to a position (2,) [m], world, and has room there.
 
     Args:
-        elevation: Map of the ground, world.
+        mapped: What is mapped.
         start: (2,) position of the rover's middle [m], world; within the map.
         room: Distance from the rover's disc within which nothing stands [m]; None where what is low
             may stand even below the rover.
@@ -197,8 +207,8 @@ def standing_places(
         doubted: (rows, columns) cells that may hold something, as in `path_costs`.
     """
     config = config or GroundPathConfig()
-    grid, begin = _paths_grid(elevation.grid, config.pool), np.asarray(start, dtype=float)
-    costs = path_costs(elevation, begin, discs, config, doubted)
+    grid, begin = _paths_grid(mapped.grid, config.pool), np.asarray(start, dtype=float)
+    costs = path_costs(mapped, begin, discs, config, doubted)
     first = tuple(grid.cells_of([begin])[0].tolist())
     lengths = shortest_paths(costs, first, grid.cell).lengths
     most = 1.0 + config.near_cost
@@ -216,7 +226,7 @@ def standing_places(
 
 
 def path_costs(
-    elevation: ElevationMap,
+    mapped: MappedRises,
     start: FloatArray,
     discs: ArrayLike | None,
     config: GroundPathConfig,
@@ -225,7 +235,7 @@ def path_costs(
     """Return how many times its length a path of a rover costs in each cell of the paths.
 
     Args:
-        elevation: Map of the ground, world.
+        mapped: What is mapped.
         start: (2,) position of the rover's middle [m], world; within the map.
         discs: (M, 3) further discs, as in `plan_path`.
         config: Size of the rover, what it climbs, and what that costs.
@@ -236,10 +246,10 @@ def path_costs(
         (rows, columns) 1 in the open, more beside and over things and where something seems to
         stand far away, infinite where the rover may not be.
     """
-    fine, grid = elevation.grid, _paths_grid(elevation.grid, config.pool)
+    fine, grid = mapped.grid, _paths_grid(mapped.grid, config.pool)
     further = _NO_DISCS if discs is None else np.asarray(discs, dtype=float).reshape(-1, 3)
-    above = rises(elevation, config.window).copy()
-    box, apart = _box_about(start, config.inner, fine)
+    above = mapped.above.copy()
+    box, apart = fine.box_about(start, config.inner)
     above[box][apart <= config.inner] = np.nan
     first = tuple(grid.cells_of([start])[0].tolist())
     low, high = (
@@ -249,7 +259,7 @@ def path_costs(
         low |= doubted
     low, high = _pooled(low, config.pool), _pooled(high, config.pool)
     # What stands within the disc at the start is each come no nearer.
-    box, apart = _box_about(start, config.radius, grid)
+    box, apart = grid.box_about(start, config.radius)
     held = high[box] & (apart <= config.radius)
     high[box] &= ~held
     points = np.pad(grid.centres[box][held], ((0, 0), (0, 1)))
@@ -259,7 +269,7 @@ def path_costs(
     costs = 1.0 + config.near_cost * np.clip(margins, 0.0, 1.0)
     costs[low_gaps <= config.radius] += config.over_cost
     costs[_gaps(high, grid.cell) <= config.radius] = 1.0 + config.far_cost
-    box, apart = _box_about(start, config.sure, grid)
+    box, apart = grid.box_about(start, config.sure)
     costs[box][(costs[box] > config.far_cost) & (apart <= config.sure)] = np.inf
     costs[by_discs <= config.radius] = np.inf
     costs[first] = 1.0
@@ -307,20 +317,9 @@ def _disc_gaps(
     for x, y, size in discs:
         held = min(size, float(np.hypot(*(start - (x, y)))) - config.radius)
         reach = held + config.radius + config.margin
-        box, apart = _box_about(np.array([x, y]), reach, grid)
+        box, apart = grid.box_about(np.array([x, y]), reach)
         gaps[box] = np.minimum(gaps[box], np.nextafter(apart - held, np.inf))
     return gaps
-
-
-def _box_about(
-    place: FloatArray, radius: float, grid: ElevationGrid
-) -> tuple[tuple[slice, slice], FloatArray]:
-    """Return the box of cells that holds a disc, and their distances from its middle [m]."""
-    corners = np.clip(grid.cells_of([place - radius, place + radius]) + [[0], [1]], 0, grid.shape)
-    (top, left), (bottom, right) = corners.tolist()
-    cells = np.moveaxis(np.mgrid[top:bottom, left:right], 0, -1)
-    apart = np.hypot(*np.moveaxis(grid.centres_of(cells) - place, -1, 0))
-    return (slice(top, bottom), slice(left, right)), apart
 
 
 def _path_over(

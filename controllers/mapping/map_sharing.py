@@ -32,6 +32,7 @@ from perception.elevation.deltas import (
 )
 from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
+from perception.elevation.submaps import Submaps
 from perception.geometry.arrays import BoolArray, FloatArray, IndexArray
 from perception.geometry.checks import check_numbers
 from twin.link import MESSAGE_LIMIT, RadioError
@@ -234,8 +235,8 @@ class MapSharing:
             self._outgoing.confirm(number, bits)
 
 
-def completed(own: ElevationMap, received: ElevationMap) -> ElevationMap:
-    """Return a robot's map with what it has received where it knows nothing itself.
+def completed(own: ElevationMap | Submaps, received: ElevationMap) -> FloatArray:
+    """Return the heights of a robot's map, and received ones where it knows nothing itself.
 
     Both robots have levelled their maps by themselves: the received heights are moved by the tilt
     and the height that fit the own map best, so that no step stands where one map ends.
@@ -243,15 +244,15 @@ def completed(own: ElevationMap, received: ElevationMap) -> ElevationMap:
     Args:
         own: The robot's own map, which stays as it is.
         received: What it has received, in the same frame and cells.
+
+    Returns:
+        (rows, columns) heights [m]; NaN where both know nothing.
     """
-    there = received.known
-    missing = (~own.known)[there]
-    whole = own.copy()
-    if missing.any():
+    there, whole = received.known, own.heights.copy()
+    if there.any():
         points = np.column_stack([own.grid.centres[there], received.heights[there]])
         fitted = aligned(own, points, points.mean(axis=0), _APART).points[:, 2]
-        whole.heights[there] = np.where(missing, fitted, own.heights[there])
-        whole.variances[there] = np.where(missing, received.variances[there], own.variances[there])
+        whole[there] = np.where(own.known[there], whole[there], fitted)
     return whole
 
 

@@ -118,6 +118,7 @@ class MissionBelief:
         self.navigator.localize(found)
         self.localization = found
         self.navigator.keep_off = self.structures
+        self.navigator.partner = self.partner_in_map
 
     def stay(self) -> None:
         """Take over the localization that odometry gives where the panel does not show itself."""
@@ -201,6 +202,13 @@ class MissionBelief:
         """Return (2,) the other rover's place in the ground frame [m]; None if it is unknown."""
         there = self._partner_in_ground()
         return None if there is None else np.asarray(there.translation)[:2]
+
+    def partner_in_map(self) -> FloatArray:
+        """Return (K, 2) the other rover's place in the frame of the map [m]; none if unknown."""
+        place = self.partner_place()
+        if place is None:
+            return np.zeros((0, 2))
+        return np.asarray(self.transform_ground_to_map.apply([*place, 0.0]))[None, :2]
 
     def _partner_in_ground(self) -> RigidTransform | None:
         """Return the other rover's pose in the ground frame; None if it is unknown."""

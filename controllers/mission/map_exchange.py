@@ -8,12 +8,12 @@ import numpy as np
 from controllers.mapping.map_sharing import FRAGMENT, RECEIPT, MapSharing, MapSharingConfig
 from controllers.mission.belief import MissionBelief
 from controllers.mission.radio import MissionRadio
+from perception.elevation.map import ElevationMap
 
 BUDGET = 8_500
 """Most bytes of messages that a rover sends: with their frames less than 10 kB on the air."""
 _PERIOD = 5.0  # Time between two comparisons of the own map with what was noted of it [s].
 _PACE = 0.1  # Time between two decisions what to send [s]; five messages a second are sent.
-_ROVER = 0.5  # Radius of a disc that holds the other rover, and where it drives in a second [m].
 
 
 class MapExchange:
@@ -27,10 +27,9 @@ class MapExchange:
 
     def __init__(self, belief: MissionBelief, radio: MissionRadio, number: int) -> None:
         self._belief, self._radio = belief, radio
-        config = MapSharingConfig(budget_bytes=BUDGET)
-        self._sharing = MapSharing(belief.navigator.ground, number, config)
+        self._noted = ElevationMap(belief.navigator.ground.grid)
+        self._sharing = MapSharing(self._noted, number, MapSharingConfig(budget_bytes=BUDGET))
         belief.navigator.received = self._sharing.received
-        self._noted = np.full(belief.navigator.ground.grid.shape, np.nan)
         self._next = self._next_message = -np.inf
 
     def step(self, now: float) -> None:
@@ -50,20 +49,10 @@ class MapExchange:
                 self._radio.send(message)
 
     def _note_changes(self) -> None:
-        """Note which cells of the own map have changed; what stands there may be the other rover.
-
-        That is not to be told where it stood.
-        """
-        ground = self._belief.navigator.ground
-        changed = ground.known & (ground.heights != self._noted)
-        self._noted[changed] = ground.heights[changed]
-        partner = self._belief.partner_place()
-        if partner is not None:
-            to_map = self._belief.transform_ground_to_map
-            place = to_map.apply([*partner, 0.0])[:2]
-            rows, columns = np.nonzero(changed)
-            apart = np.linalg.norm(ground.grid.centres[rows, columns] - place, axis=1)
-            near = apart < _ROVER
-            changed[rows[near], columns[near]] = False
-        if changed.any():
-            self._sharing.take(np.flatnonzero(changed))
+        """Note which cells of the own map have changed, or are known no more."""
+        heights, noted = self._belief.navigator.ground.heights, self._noted
+        same = (heights == noted.heights) | (np.isnan(heights) & np.isnan(noted.heights))
+        noted.heights[~same] = heights[~same]
+        noted.variances[~same] = self._belief.navigator.ground.variances[~same]
+        if not same.all():
+            self._sharing.take(np.flatnonzero(~same))

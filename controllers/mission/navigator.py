@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform
 from controllers.insertion.camera_station import camera_arm, stereo_geometry
 from controllers.mapping.ground_paths import (
     GroundPathConfig,
+    MappedRises,
     obstacles,
     path_lengths,
     plan_path,
@@ -32,8 +33,8 @@ from controllers.motion.driving import SkidSteer
 from controllers.motion.tip_over import Footing
 from perception.elevation.alignment import aligned
 from perception.elevation.grid import ElevationGrid
-from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
+from perception.elevation.submaps import Submaps, filled, rises_by_map
 from perception.geometry.arrays import BoolArray, FloatArray
 from perception.stereo.matching import StereoMatcher, StereoMatcherConfig, StereoPoints
 from twin.description import RobotDescription
@@ -75,6 +76,8 @@ _SEEN = 0.24  # Radius about each point of a path of the ground that must have b
 _LOOKED_AT = 0.2  # Radius of the ground that a look is for [m].
 _CLEARED = 100  # Count of looks at ground that needs none.
 _UNGUARDED = DrivePathConfig(tilts=(math.pi, 2.0 * math.pi))  # No tilt slows or stops it.
+_CONTRADICTED = 0.2  # Share of a view's level cells from which on the map has drifted.
+_ROVER = 0.5  # Radius of a disc that holds a rover, and where it drives in a second [m].
 _MOST_LOOKS = 2  # Looks at ground after which it counts as seen, as none shows what lies behind.
 
 
@@ -142,11 +145,13 @@ class Navigator:
     Attributes:
         footing: Footing by which moves of the arm are slowed; None for a rover without the guard.
         odometry: Pose of the rover in the frame.
-        ground: Elevation map in the frame.
+        ground: Elevation maps in the frame.
         localized: Whether the frame is that of the panel.
         received: Elevation map of the other rover, as far as it was received, in the same frame;
-            None before. It completes what paths are planned on.
+            None before. Paths are planned on it, too, where the rover has mapped nothing itself.
         hindered: Whether there was no path where it was to drive last, or but a long way around.
+        partner: Returns the places (K, 2) of the other rover in the frame [m], none or one, where
+            nothing is mapped.
         keep_off: Returns discs (M, 3) in the frame that paths keep off beside what is mapped: x, y
             and radius [m].
     """
@@ -172,13 +177,13 @@ class Navigator:
         count = round(2.0 * half / cell)
         grid = ElevationGrid((-half, -half), (count, count), cell)
         self.odometry = VisualOdometry(self._arm, geometry, steer)
-        self.ground = ElevationMap(grid)
+        self.ground = Submaps(grid)
         self.localized = False
         self.received: ElevationMap | None = None
         self.hindered = False
-        self._whole = self.ground
         # Height of the map over that by odometry, which drifts, where the rover is [m].
         self._over = 0.0
+        self.partner: Callable[[], FloatArray] = lambda: np.zeros((0, 2))
         self.keep_off: Callable[[], FloatArray] = lambda: np.zeros((0, 3))
         self._steer = steer
         self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
@@ -292,10 +297,18 @@ class Navigator:
         outside = ~within(places, self._own_spheres(seen))
         over = np.array([0.0, 0.0, self._over])
         eye = camera.translation + over
-        fitted = aligned(self.ground, places[outside] + over, eye, covariance)
+        fitted = aligned(self.ground.newest, places[outside] + over, eye, covariance)
+        if fitted.contradicted > _CONTRADICTED:
+            self.ground.begin()
+            fitted = aligned(self.ground.newest, places[outside] + over, eye, covariance)
         self._over += fitted.rise
         spread = (turn @ points.covariances[kept] @ turn.T)[outside]
-        self.ground.insert(fitted.points, spread, fitted.covariance)
+        self.ground.newest.insert(fitted.points, spread, fitted.covariance)
+        for place in self.partner():
+            for each in self.ground.maps:
+                each.forget(place, _ROVER)
+        if self.received is not None:
+            self.received.forget(self.place, _ROVER)
 
     def _in_shade(self, seen: Observation, camera: RigidTransform) -> RobotLocalization | None:
         """Return the localization by a panel whose markers are dim, where it is expected."""
@@ -351,7 +364,7 @@ class Navigator:
         if self._blind:
             return np.linalg.norm(places - self.place, axis=1)
         paths, discs, doubted = self._config.paths, self.keep_off(), self._doubted()
-        return path_lengths(self._planned(), self.place, places, discs, paths, doubted)
+        return path_lengths(self._mapped(), self.place, places, discs, paths, doubted)
 
     def standing_places(self, room: float | None) -> Callable[[ArrayLike], bool]:
         """Return whether the rover gets to a place (2,) in the frame [m], and has room there.
@@ -363,12 +376,12 @@ class Navigator:
         if self._blind:
             return lambda _: True
         paths, discs, doubted = self._config.paths, self.keep_off(), self._doubted()
-        return standing_places(self._planned(), self.place, room, discs, paths, doubted)
+        return standing_places(self._mapped(), self.place, room, discs, paths, doubted)
 
     def high_places(self) -> FloatArray:
         """Return the places (N, 3) of mapped cells that a rover that turns may touch [m], frame."""
         paths = self._config.paths
-        high = obstacles(rises(self.ground, paths.window), self._config.touches, paths.least)
+        high = obstacles(rises_by_map(self.ground.maps), self._config.touches, paths.least)
         rows, columns = np.nonzero(high)
         centres = self.ground.grid.centres[rows, columns]
         return np.column_stack([centres, self.heights[rows, columns]])
@@ -381,14 +394,15 @@ class Navigator:
         Args:
             least: Least height above the ground [m].
         """
-        planned, step = self._planned(), self.ground.grid.cell
-        above = rises(planned, self._config.paths.window)
-        cells = above > least
-        tall, tops = above[cells], planned.heights[cells] - self._over
+        (grid, above), heights = self._mapped(), self.ground.heights
+        if self.received is not None:
+            heights = completed(self.ground, self.received)
+        cells, step = above > least, grid.cell
+        tall, tops = above[cells], heights[cells] - self._over
         counts = np.ceil(tall / step).astype(np.int64)
         which = np.repeat(np.arange(len(tops)), counts)
         below = step * (np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts))
-        return np.column_stack([planned.grid.centres[cells][which], tops[which] - below])
+        return np.column_stack([grid.centres[cells][which], tops[which] - below])
 
     def path_to(self, place: FloatArray, kept: FloatArray | None = None) -> FloatArray | None:
         """Return the path from the rover to a place.
@@ -404,7 +418,7 @@ class Navigator:
         if self._blind:
             return np.array([self.place, place])
         paths, discs, doubted = self._config.paths, self.keep_off(), self._doubted()
-        return plan_path(self._planned(), self.place, place, discs, paths, kept, doubted)
+        return plan_path(self._mapped(), self.place, place, discs, paths, kept, doubted)
 
     def unseen(self, path: FloatArray, far: float | None = None) -> FloatArray | None:
         """Return ground that the rover has not seen and would soon drive over.
@@ -438,7 +452,7 @@ class Navigator:
         low = np.maximum(grid.cells_of([points.min(axis=0) - radius])[0], 0)
         high = grid.cells_of([points.max(axis=0) + radius])[0] + 1
         box = slice(low[0], high[0]), slice(low[1], high[1])
-        shown = _filled(self.ground.known[box]) | (self._looks[box] >= _MOST_LOOKS)
+        shown = filled(self.ground.known[box], grown=1) | (self._looks[box] >= _MOST_LOOKS)
         return grid.centres[box][~shown]
 
     def _unshown_at(self, place: FloatArray) -> int:
@@ -596,7 +610,7 @@ class Navigator:
         What was mapped before its estimate drifted stands as cliffs about what it maps now. For a
         rover that the panel has not localized: the map of the site is in the panel's frame.
         """
-        self.ground, self._over = ElevationMap(self.ground.grid), 0.0
+        self.ground, self._over = Submaps(self.ground.grid), 0.0
         self._looks[...] = 0
 
     def back_off(self, held: bool) -> None:
@@ -694,21 +708,16 @@ class Navigator:
         """Return cells that looks have not shown, or where something seemed to hold the rover."""
         doubted = (self._looks >= _MOST_LOOKS) & (self._looks < _CLEARED)
         if doubted.any():
-            doubted &= ~_filled(self.ground.known)
+            doubted &= ~filled(self.ground.known, grown=1)
         grid, marked = self.ground.grid, doubted.view(np.uint8)
         for row, column in grid.cells_of(np.array(self._bumps).reshape(-1, 2)).tolist():
             cv2.circle(marked, (column, row), round(_BUMP / grid.cell), 1, -1)
         return doubted
 
-    def _planned(self) -> ElevationMap:
-        """Return the map that paths are planned on."""
-        if self.received is None:
-            return self.ground
-        whole = completed(self.ground, self.received)
-        # The same map keeps what was found of it.
-        if not np.array_equal(whole.heights, self._whole.heights, equal_nan=True):
-            self._whole = whole
-        return self._whole
+    def _mapped(self) -> MappedRises:
+        """Return what paths are planned on."""
+        maps = self.ground.maps if self.received is None else [*self.ground.maps, self.received]
+        return MappedRises(self.ground.grid, rises_by_map(maps))
 
     def _in_start(self, path: FloatArray) -> FloatArray:
         """Return a path (N, 2) in the frame of the rover's pose at the drive's beginning."""
@@ -741,16 +750,6 @@ def _moved(pose: RigidTransform, along: FloatArray) -> FloatArray:
     """Return places (N, 2) at distances along a rover's heading (N,), in the frame of its pose."""
     local = np.column_stack([np.zeros_like(along), along, np.zeros_like(along)])
     return np.asarray(pose.apply(local))[:, :2]
-
-
-def _filled(cells: BoolArray) -> BoolArray:
-    """Return cells grown by one, and without holes of up to four between them.
-
-    Far away the points of a view are that far apart; what stands there shows itself.
-    """
-    square = np.ones((3, 3), np.uint8)
-    grown = cv2.dilate(cells.astype(np.uint8), square, iterations=2)
-    return np.asarray(cv2.erode(grown, square)).astype(bool)
 
 
 def _length(path: FloatArray) -> float:

@@ -2,12 +2,13 @@
 
 import numpy as np
 
-from controllers.mapping.ground_paths import GroundPathConfig, path_lengths
+from controllers.mapping.ground_paths import GroundPathConfig, MappedRises, path_lengths
 from controllers.mission.site import SiteDrawing
 from experiments.mission.collisions import HIGHEST
 from experiments.mission.scene import MissionScene
 from models.compose import make_terrain
 from perception.elevation.grid import ElevationGrid
+from perception.elevation.ground import rises
 from perception.elevation.map import ElevationMap
 from perception.geometry.arrays import FloatArray
 
@@ -36,4 +37,5 @@ def shortest_path(
     truth.variances[...] = 1e-8
     # Neither over nor beside anything a path costs more than its length.
     paths = GroundPathConfig(radius=_RADIUS, climb=HIGHEST, most_climb=HIGHEST, near_cost=0.0)
-    return float(path_lengths(truth, start, goal[None], site.structures, paths)[0])
+    mapped = MappedRises(truth.grid, rises(truth))
+    return float(path_lengths(mapped, start, goal[None], site.structures, paths)[0])

@@ -71,6 +71,19 @@ class ElevationGrid:
         index = np.asarray(cells)
         return np.all((index >= 0) & (index < np.array(self.shape)), axis=-1)
 
+    def box_about(self, place: FloatArray, radius: float) -> tuple[tuple[slice, slice], FloatArray]:
+        """Return the box of cells that holds a disc, and their distances from its middle [m].
+
+        Args:
+            place: (2,) middle of the disc [m].
+            radius: Radius of the disc [m].
+        """
+        corners = self.cells_of([place - radius, place + radius]) + [[0], [1]]
+        (top, left), (bottom, right) = np.clip(corners, 0, self.shape).tolist()
+        cells = np.moveaxis(np.mgrid[top:bottom, left:right], 0, -1)
+        apart = np.hypot(*np.moveaxis(self.centres_of(cells) - place, -1, 0))
+        return (slice(top, bottom), slice(left, right)), apart
+
 
 @functools.lru_cache(maxsize=8)  # A mission asks for those of two grids at each look.
 def _centres(grid: ElevationGrid) -> FloatArray:

@@ -151,6 +151,17 @@ class ElevationMap:
             sure = sure + _height_variances(np.column_stack([centres, means]), pose_covariance)
         return told[update_cells(told, means, sure, self._layers(), settings)]
 
+    def forget(self, place: FloatArray, radius: float) -> None:
+        """Forget the cells of a disc, about (2,) x and y [m], as something moves there.
+
+        Args:
+            place: (2,) middle of the disc [m].
+            radius: Radius of the disc [m].
+        """
+        box, apart = self.grid.box_about(place, radius)
+        within = apart < radius
+        self.heights[box][within] = self.variances[box][within] = np.nan
+
     def moved(
         self,
         transform_map_to_other: RigidTransform,

@@ -43,6 +43,7 @@ _STRETCHES = (-0.5, -0.4, 0.5, 0.4)
 from where it drives back; the first one with room is taken."""
 _NEAR, _ALONG = 0.7, 0.9  # Distance [m] and heading [rad] from its place of a rover that docks.
 _ANY_WAY = 0.8  # Tolerance of a heading from which on the rover arrives as its path leads it [rad].
+_CLOSE = 0.3  # Distance up to which a rover has missed its place, and nothing holds it [m].
 _NO_NEARER = 0.7  # Share of its distance that is left of a drive that something holds.
 _INNER = 0.2  # How far within its tolerance a heading is that the rover turns to [rad].
 _EVERY = 10.0  # Time from one look of a rover that waits to the next [s].
@@ -95,7 +96,7 @@ class GoToPlace(DrivingPart):
             docks = self._near[1] < _ANY_WAY
             if not (docks or self._reason) and after > max(self._near[0], _NO_NEARER * before):
                 self._reason = "it gets no nearer"
-                seen = yield from retreat(seen, self._navigator, held=True)
+                seen = yield from retreat(seen, self._navigator, held=after > _CLOSE)
         return seen
 
     def _go(self, seen: Observation) -> Behaviour:

@@ -10,6 +10,7 @@ import pytest
 
 from controllers.mapping.ground_paths import (
     GroundPathConfig,
+    MappedRises,
     obstacles,
     path_costs,
     path_lengths,
@@ -25,6 +26,10 @@ CELL = 0.05
 CORNER = (-1.0, -1.5)
 HOW = GroundPathConfig(near_cost=0.0, sure=99.0, corner=1e-9)
 """No more is paid beside obstacles, so that the cheapest paths are the shortest."""
+
+
+def mapped(model):
+    return MappedRises(model.grid, rises(model))
 
 
 def field(rocks, shape=(60, 80), slope=0.1, height=0.06):
@@ -101,15 +106,15 @@ def test_free_cells_are_those_with_nothing_higher_within_the_disc(radius):
     rng, start = np.random.default_rng(0), np.array([-0.9, -1.4])
     model = field(rng.integers((10, 10), (50, 70), (25, 2)))
     how = dataclasses.replace(HOW, radius=radius)
-    found = np.isfinite(path_costs(model, start, None, how))
-    expected = free_by_counting(rises(model, HOW.window), start, radius)
+    found = np.isfinite(path_costs(mapped(model), start, None, how))
+    expected = free_by_counting(rises(model), start, radius)
     np.testing.assert_array_equal(found, expected)
     assert found.any() and not found.all()
 
 
 def test_unknown_ground_is_free():
     model = ElevationMap(ElevationGrid(CORNER, (60, 80), CELL))
-    np.testing.assert_array_equal(path_costs(model, np.zeros(2), None, HOW), 1.0)
+    np.testing.assert_array_equal(path_costs(mapped(model), np.zeros(2), None, HOW), 1.0)
 
 
 def test_paths_are_no_longer_than_the_shortest_from_cell_to_cell_and_run_over_free_cells():
@@ -117,12 +122,12 @@ def test_paths_are_no_longer_than_the_shortest_from_cell_to_cell_and_run_over_fr
     for _ in range(25):
         model = field(rng.integers((0, 0), (60, 80), (rng.integers(8, 40), 2)))
         start, goal = rng.uniform([-0.7, -1.2], [2.7, 1.2], (2, 2))
-        free = free_by_counting(rises(model, HOW.window), start)
+        free = free_by_counting(rises(model), start)
         free[cell_at(start)] = True
         expected = math.inf
         if free[cell_at(goal)]:
             expected = shortest_length(free, cell_at(start), cell_at(goal))
-        path = plan_path(model, start, goal, config=HOW)
+        path = plan_path(mapped(model), start, goal, config=HOW)
         if not math.isfinite(expected):
             assert path is None  # Rocks of 60 mm are none to climb, either.
             blocked += 1
@@ -140,16 +145,18 @@ def test_paths_are_no_longer_than_the_shortest_from_cell_to_cell_and_run_over_fr
 
 def test_open_ground_is_crossed_in_one_leg():
     model = ElevationMap(ElevationGrid(CORNER, (60, 80), CELL))
-    path = plan_path(model, [-0.9, -1.4], [2.9, 1.43])
+    path = plan_path(mapped(model), [-0.9, -1.4], [2.9, 1.43])
     np.testing.assert_allclose(path, [[-0.9, -1.4], [2.9, 1.43]])
-    np.testing.assert_allclose(plan_path(model, [0.0, 0.0], [0.01, 0.0]), [[0.0, 0.0], [0.01, 0.0]])
+    np.testing.assert_allclose(
+        plan_path(mapped(model), [0.0, 0.0], [0.01, 0.0]), [[0.0, 0.0], [0.01, 0.0]]
+    )
 
 
 def test_a_path_around_a_wall_is_as_short_as_the_rover_s_disc_allows():
     """Two tangents and an arc about the wall's end; only chords over cells stay beyond it."""
     model = field([(row, 40) for row in range(35)])
     start, goal = np.array([0.0, -0.5]), np.array([2.0, -0.5])
-    path = plan_path(model, start, goal, config=HOW)
+    path = plan_path(mapped(model), start, goal, config=HOW)
     end = np.array(CORNER) + CELL * np.array([40.5, 34.5])
     to_start, to_goal = start - end, goal - end
     far = np.hypot(*to_start), np.hypot(*to_goal)
@@ -171,23 +178,26 @@ def wall_with_gap(height, low):
 def test_what_is_25_mm_high_is_driven_over_only_where_there_is_no_other_path():
     start, goal = [0.0, 0.0], [2.0, 0.0]
     model = wall_with_gap(0.1, 0.04)
-    path = plan_path(model, start, goal)
+    path = plan_path(mapped(model), start, goal)
     np.testing.assert_allclose(path, [start, goal])
-    assert plan_path(model, start, goal, config=dataclasses.replace(HOW, most_climb=0.03)) is None
-    assert plan_path(wall_with_gap(0.1, 0.07), start, goal, config=HOW) is None
+    assert (
+        plan_path(mapped(model), start, goal, config=dataclasses.replace(HOW, most_climb=0.03))
+        is None
+    )
+    assert plan_path(mapped(wall_with_gap(0.1, 0.07)), start, goal, config=HOW) is None
     # With another path, longer, the wall is not driven over.
     model.heights[45:, 40] -= 0.1
-    around = plan_path(model, start, goal)
+    around = plan_path(mapped(model), start, goal)
     assert around[:, 1].max() > CORNER[1] + CELL * 45
 
 
 def test_a_rover_may_leave_where_it_stands_but_reach_no_goal_too_near():
     model = field([(30, 22), (30, 45)])
     start, goal = [0.2, 0.0], [0.9, 0.025]
-    assert not free_by_counting(rises(model, HOW.window))[cell_at(start)]
-    path = plan_path(model, start, goal, config=HOW)
+    assert not free_by_counting(rises(model))[cell_at(start)]
+    path = plan_path(mapped(model), start, goal, config=HOW)
     np.testing.assert_allclose(path, [start, goal])
-    assert plan_path(model, start, [1.0, 0.025]) is None
+    assert plan_path(mapped(model), start, [1.0, 0.025]) is None
 
 
 def test_a_rover_with_a_rock_in_its_disc_drives_away_and_comes_no_nearer_to_it():
@@ -196,7 +206,7 @@ def test_a_rover_with_a_rock_in_its_disc_drives_away_and_comes_no_nearer_to_it()
     beside = math.dist(start, middle_of(*rock))
     assert HOW.inner < beside < HOW.radius
     for goal in ([-0.6, -0.8], [2.0, 0.0], [0.2, 1.0]):
-        path = plan_path(model, start, np.array(goal), config=HOW)
+        path = plan_path(mapped(model), start, np.array(goal), config=HOW)
         points = np.concatenate([np.linspace(a, b, 200) for a, b in itertools.pairwise(path)])
         away = np.linalg.norm(points - middle_of(*rock), axis=1)
         assert away.min() > beside - CELL
@@ -213,7 +223,7 @@ def test_a_rover_between_two_rocks_comes_no_nearer_to_either():
     near = [math.dist(start, middle_of(*rock)) for rock in rocks]
     assert HOW.inner < near[0] < near[1] < how.radius
     for goal in goals_around():
-        path = plan_path(model, start, goal, config=how)
+        path = plan_path(mapped(model), start, goal, config=how)
         points = np.concatenate([np.linspace(a, b, 200) for a, b in itertools.pairwise(path)])
         for rock, least in zip(rocks, near, strict=True):
             assert np.linalg.norm(points - middle_of(*rock), axis=1).min() > least - CELL
@@ -228,42 +238,44 @@ def goals_around():
 def test_a_path_is_kept_until_another_is_clearly_cheaper():
     model = field([(30, 38)])
     start, goal = np.array([0.0, 0.025]), np.array([1.9, 0.025])
-    left = plan_path(model, start, goal, config=HOW)
+    left = plan_path(mapped(model), start, goal, config=HOW)
     right = left * [1.0, -1.0] + [0.0, 0.05]  # Mirrored at the line through the rock.
     for kept in (left, right):
-        assert plan_path(model, start, goal, config=HOW, kept=kept) is kept
+        assert plan_path(mapped(model), start, goal, config=HOW, kept=kept) is kept
     far = np.array([start, [0.9, -1.2], goal])
-    np.testing.assert_allclose(plan_path(model, start, goal, config=HOW, kept=far), left)
+    np.testing.assert_allclose(plan_path(mapped(model), start, goal, config=HOW, kept=far), left)
     through = np.array([start, goal])
-    np.testing.assert_allclose(plan_path(model, start, goal, config=HOW, kept=through), left)
+    np.testing.assert_allclose(
+        plan_path(mapped(model), start, goal, config=HOW, kept=through), left
+    )
 
 
 def test_other_robots_are_gone_around_and_a_rover_beside_one_comes_no_closer():
     model = field([])
     start, goal, other = np.array([0.0, 0.0]), np.array([2.0, 0.0]), np.array([1.0, 0.1, 0.3])
-    path = plan_path(model, start, goal, [other], HOW)
-    free = free_by_counting(rises(model, HOW.window), start, discs=[other])
+    path = plan_path(mapped(model), start, goal, [other], HOW)
+    free = free_by_counting(rises(model), start, discs=[other])
     assert_runs_over(path, free)
     assert path[:, 1].min() < -0.4
     beside = np.array([0.4, 0.0, 0.3])
-    path = plan_path(model, start, goal, [beside], HOW)
+    path = plan_path(mapped(model), start, goal, [beside], HOW)
     assert len(path) > 2
     for first, second in itertools.pairwise(path):
         along = np.linspace(first, second, 200)
         assert np.linalg.norm(along - beside[:2], axis=1).min() > 0.4 - CELL
     surrounded = [(0.0, y, 0.3) for y in np.arange(-1.5, 1.6, 0.2)]
-    assert plan_path(model, [-0.6, 0.0], goal, surrounded) is None
+    assert plan_path(mapped(model), [-0.6, 0.0], goal, surrounded) is None
 
 
 @pytest.mark.parametrize("ends", [([-1.01, 0.0], [1.0, 0.0]), ([0.0, 0.0], [3.01, 0.0])])
 def test_there_is_no_path_from_or_to_beyond_the_map(ends):
-    assert plan_path(field([]), *ends) is None
+    assert plan_path(mapped(field([])), *ends) is None
 
 
 @pytest.mark.parametrize(("height", "over"), [(0.06, math.inf), (0.042, 1.0 + 3.0 + 7.0)])
 def test_costs_fall_with_the_distance_from_what_is_high(height, over):
     how = GroundPathConfig(margin=0.2, near_cost=3.0, over_cost=7.0, sure=99.0)
-    costs = path_costs(field([(30, 40)], height=height), np.array([-0.9, -1.4]), None, how)
+    costs = path_costs(mapped(field([(30, 40)], height=height)), np.array([-0.9, -1.4]), None, how)
     rows, columns = np.mgrid[:60, :80]
     beyond = CELL * np.hypot(rows - 30, columns - 40) - how.radius
     np.testing.assert_array_equal(costs[beyond <= 0.0], over)
@@ -276,12 +288,12 @@ def test_doubted_ground_is_gone_around_where_that_is_short():
     model, start = field([]), np.array([-0.5, 0.0])
     doubted = np.zeros((60, 80), bool)
     doubted[28:33, 38:42] = True
-    path = plan_path(model, start, [2.5, 0.0], doubted=doubted)
+    path = plan_path(mapped(model), start, [2.5, 0.0], doubted=doubted)
     points = np.concatenate([np.linspace(a, b, 500) for a, b in itertools.pairwise(path)])
     middles = [middle_of(*cell) for cell in np.argwhere(doubted)]
     assert min(np.linalg.norm(points - middle, axis=1).min() for middle in middles) > HOW.radius
     doubted[:, 38:42] = True
-    path = plan_path(model, start, [2.5, 0.0], doubted=doubted)
+    path = plan_path(mapped(model), start, [2.5, 0.0], doubted=doubted)
     np.testing.assert_allclose(path, [start, [2.5, 0.0]])
 
 
@@ -289,12 +301,12 @@ def test_what_is_high_far_away_costs_and_closer_by_bars_the_way():
     model = field([(row, 60) for row in range(60)])
     start, goal = np.array([-0.5, 0.0]), np.array([2.8, 0.0])
     how = dataclasses.replace(HOW, sure=1.5)
-    path = plan_path(model, start, goal, config=how)
+    path = plan_path(mapped(model), start, goal, config=how)
     np.testing.assert_allclose(path, [start, goal])  # A wall from side to side.
-    length, cost = path_lengths(model, start, np.array([[1.6, 0.0], goal]), config=how)
+    length, cost = path_lengths(mapped(model), start, np.array([[1.6, 0.0], goal]), config=how)
     assert length == pytest.approx(2.1, abs=0.1)
     assert cost == pytest.approx(3.3 + 2.0 * how.radius * how.far_cost, rel=0.15)
-    near = path_costs(model, np.array([1.0, 0.0]), None, how)
+    near = path_costs(mapped(model), np.array([1.0, 0.0]), None, how)
     assert np.isinf(near[30, 60]) and near[0, 60] == 1.0 + how.far_cost
 
 
@@ -314,7 +326,7 @@ def test_a_path_keeps_off_rocks_where_there_is_room_and_squeezes_where_there_is_
     gap = [(row, 38) for row in range(60) if not 22 < row < 36]
     for rocks, least in (([(24, 38)], 0.36), (gap, 0.28)):
         model = field(rocks)
-        path = plan_path(model, start, goal)
+        path = plan_path(mapped(model), start, goal)
         points = np.concatenate([np.linspace(a, b, 500) for a, b in itertools.pairwise(path)])
         away = min(np.linalg.norm(points - middle_of(*rock), axis=1).min() for rock in rocks)
         assert away > least
@@ -416,21 +428,21 @@ def test_pooled_cells_are_as_high_as_the_highest_that_they_hold():
     fine = field([(20, 40)], shape=(61, 80))
     how = dataclasses.replace(HOW, pool=2)
     start, goal = np.array([0.0, -0.5]), np.array([2.0, -0.5])
-    path = plan_path(fine, start, goal, config=how)
+    path = plan_path(mapped(fine), start, goal, config=how)
     rock = np.array([CORNER[0] + 40.5 * CELL, CORNER[1] + 20.5 * CELL])
     assert path is not None
     points = np.concatenate([np.linspace(a, b, 200) for a, b in itertools.pairwise(path)])
     # A pooled cell's middle lies up to half a fine cell's diagonal off the rock's.
     assert np.linalg.norm(points - rock, axis=1).min() > HOW.radius - CELL
-    assert len(plan_path(fine, start, goal, config=HOW)) >= 3
+    assert len(plan_path(mapped(fine), start, goal, config=HOW)) >= 3
 
 
 def test_lengths_are_those_of_the_paths_from_cell_to_cell():
     rng = np.random.default_rng(4)
     model = field(rng.integers((0, 0), (60, 80), (25, 2)))
     start, goals = np.array([-0.5, -1.0]), rng.uniform([-0.7, -1.2], [2.7, 1.2], (12, 2))
-    lengths = path_lengths(model, start, goals, config=HOW)
-    free = free_by_counting(rises(model, HOW.window), start)
+    lengths = path_lengths(mapped(model), start, goals, config=HOW)
+    free = free_by_counting(rises(model), start)
     free[cell_at(start)] = True
     for goal, length in zip(goals, lengths, strict=True):
         expected = (
@@ -439,7 +451,7 @@ def test_lengths_are_those_of_the_paths_from_cell_to_cell():
             else math.inf
         )
         assert length == pytest.approx(expected)
-    assert np.isinf(path_lengths(model, start, np.array([[99.0, 0.0]]))).all()
+    assert np.isinf(path_lengths(mapped(model), start, np.array([[99.0, 0.0]]))).all()
 
 
 @pytest.mark.parametrize("room", [0.0, 0.1])
@@ -453,8 +465,8 @@ def test_a_rover_may_stand_where_it_gets_to_and_has_room(room):
     rocks = rng.integers((0, 0), (60, 80), (25, 2))
     rocks = [rock for rock in rocks if math.dist(middle_of(*rock), start) > 0.5]
     model = field(rocks)
-    may_stand = standing_places(model, start, room, [disc], how)
-    above = rises(model, HOW.window)
+    may_stand = standing_places(mapped(model), start, room, [disc], how)
+    above = rises(model)
     free = free_by_counting(above, start, discs=[disc])
     roomy = free_by_counting(above, start, HOW.radius + room, discs=[(1.0, 0.0, 0.1 + room)])
     answers = []
@@ -478,6 +490,6 @@ def test_a_rover_drives_over_what_it_climbs_but_rather_stands_on_nothing(height)
     how = dataclasses.replace(HOW, near_cost=3.0)
     climbs = height < HOW.most_climb
     for room in (0.0, None):
-        may_stand = standing_places(model, start, room, config=how)
+        may_stand = standing_places(mapped(model), start, room, config=how)
         assert may_stand(beyond) == climbs
         assert may_stand(amid) == (climbs and room is None)

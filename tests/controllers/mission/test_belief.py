@@ -102,7 +102,7 @@ def test_a_missing_inclinometer_stops_the_mission_with_its_name() -> None:
 def test_what_stands_on_the_mapped_ground_hides_the_slot_too() -> None:
     """A pillar of 0.3 m in ground that slopes by a tenth; slot and partner are in other hands."""
     belief = localized(MASTER)
-    ground, to_map = belief.navigator.ground, belief.transform_ground_to_map
+    ground, to_map = belief.navigator.ground.newest, belief.transform_ground_to_map
     centres = ground.grid.centres.reshape(-1, 2)
     in_map = np.column_stack([centres, np.zeros(len(centres))])
     places = np.asarray(to_map.apply(in_map, inverse=True))[:, :2].reshape(*ground.grid.shape, 2)

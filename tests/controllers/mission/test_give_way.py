@@ -15,7 +15,7 @@ from twin.robot import Command
 
 def mapped(belief, wall=None):
     """Map level ground about a rover, with a wall around it if that has a distance [m]."""
-    ground = belief.navigator.ground
+    ground = belief.navigator.ground.newest
     centres = ground.grid.centres - belief.navigator.place
     ground.heights[...], ground.variances[...] = 0.0, 1e-6
     if wall is not None:

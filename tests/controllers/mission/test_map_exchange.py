@@ -7,6 +7,10 @@ from controllers.mission.belief import MissionBelief
 from controllers.mission.map_exchange import BUDGET, MapExchange
 from controllers.mission.radio import FRAME_BYTES, STATUS, MissionRadio, SlotPose
 from tests.controllers.mission.hand_made import MASTER, SLAVE, HandLink, hand_links, localized
+from tests.controllers.motion.seen import seen_at
+
+GREY = np.zeros((2, 492, 510), np.uint8)
+"""A pair that shows nothing."""
 
 
 class Pair:
@@ -21,10 +25,11 @@ class Pair:
             MapExchange(belief, radio, number)
             for number, (belief, radio) in enumerate(zip(self.beliefs, self.radios, strict=True))
         ]
+        self.ticks = 0
 
     def play(self, seconds: float) -> None:
-        for tick in range(round(seconds / 0.1)):
-            now = 0.1 * tick
+        for _ in range(round(seconds / 0.1)):
+            now, self.ticks = 0.1 * self.ticks, self.ticks + 1
             for radio, end in zip(self.radios, self.ends, strict=True):
                 radio.begin_tick(now)
                 end.step(now)
@@ -59,11 +64,40 @@ def test_a_block_that_one_has_mapped_is_in_the_others_plan_and_not_in_its_map() 
 def test_a_rover_is_not_told_that_an_obstacle_stands_where_it_stands_itself() -> None:
     pair = Pair()
     pair.meet()
-    place = pair.beliefs[1].navigator.place
-    block = put_ground(pair.beliefs[0], tuple(place - 0.75), 1.5)
+    first, second = (belief.navigator for belief in pair.beliefs)
+    block = put_ground(pair.beliefs[0], tuple(second.place - 0.75), 1.5)
+    first.take(seen_at(0.0, stereo=GREY), at_rest=False)
+    assert not first.ground.known[block].any() and first.ground.known.sum() > 500
     pair.play(25.0)
+    received = second.received
+    assert received is not None
+    assert received.known.sum() > 500 and not received.known[block].any()
+
+
+def test_what_is_known_no_more_before_it_was_sent_is_not_told() -> None:
+    pair, rng = Pair(), np.random.default_rng(1)
+    ground = pair.beliefs[0].navigator.ground
+    ground.newest.heights[300:400, 300:400] = rng.normal(0.0, 0.05, (100, 100))
+    ground.newest.variances[300:400, 300:400] = 1e-4
+    pair.play(2.0)
     received = pair.beliefs[1].navigator.received
     assert received is not None
+    sent, middle = received.known.copy(), ground.grid.centres[350, 350]
+    ground.newest.forget(middle, 1.0)
+    gone = np.hypot(*np.moveaxis(ground.grid.centres - middle, -1, 0)) < 1.0
+    pair.play(25.0)
+    new = received.known & ~sent
+    assert new[~gone].sum() > 2000 > new[gone].sum()
+
+
+def test_where_a_rover_stands_itself_nothing_stands_of_what_it_was_told() -> None:
+    pair = Pair()
+    navigator = pair.beliefs[1].navigator
+    block = put_ground(pair.beliefs[0], tuple(navigator.place - 0.75), 1.5)
+    pair.play(25.0)
+    received = navigator.received
+    assert received is not None and received.known[block].all()
+    navigator.take(seen_at(0.0, stereo=GREY), at_rest=False)
     assert received.known.sum() > 500 and not received.known[block].any()
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from controllers.insertion.camera_station import camera_arm
 from controllers.mapping.localization import RobotLocalization
 from controllers.mission.belief import MissionBelief
-from controllers.mission.navigator import NavigatorConfig, _filled  # pyright: ignore
+from controllers.mission.navigator import NavigatorConfig
 from controllers.motion.driving import SkidSteer
 from models.datasheets import CAMERA
 from perception.stereo.matching import StereoPoints
@@ -51,7 +51,7 @@ class Rolling:
 
 def put_box(navigator, x, y, half=0.1, height=0.08):
     """Map level ground about the rover, with a box on it."""
-    ground = navigator.ground
+    ground = navigator.ground.newest
     centres = ground.grid.centres
     about = np.abs(centres).max(axis=-1) < 2.5
     ground.heights[about] = 0.0
@@ -64,7 +64,7 @@ def put_box_on(navigator, x, y, half=0.1, height=0.08):
     """Put a further box on ground that is mapped already."""
     centres = navigator.ground.grid.centres
     box = (np.abs(centres[..., 0] - x) < half) & (np.abs(centres[..., 1] - y) < half)
-    navigator.ground.heights[box] = height
+    navigator.ground.newest.heights[box] = height
 
 
 def test_a_drive_ends_at_its_place_and_heading():
@@ -91,7 +91,7 @@ def test_a_given_path_is_followed_as_it_is_forward_and_back():
 
 def test_ground_on_the_way_is_unseen_until_it_is_mapped_or_was_looked_at():
     navigator = Rolling().navigator
-    ground, path = navigator.ground, np.array([[0.0, 0.0], [0.0, 2.0]])
+    ground, path = navigator.ground.newest, np.array([[0.0, 0.0], [0.0, 2.0]])
     centres = ground.grid.centres
     ground.heights[...] = 0.0
     hidden = np.hypot(centres[..., 0] - 0.1, centres[..., 1] - 0.7) < 0.1
@@ -111,7 +111,7 @@ def test_ground_on_the_way_is_unseen_until_it_is_mapped_or_was_looked_at():
 
 def test_a_drive_stops_before_ground_that_was_not_seen():
     rover = Rolling()
-    ground = rover.navigator.ground
+    ground = rover.navigator.ground.newest
     centres = ground.grid.centres
     ground.heights[centres[..., 1] < 1.2] = 0.0
     assert rover.navigator.set_off(np.array([0.0, 2.0]), None)
@@ -237,16 +237,6 @@ def test_a_rover_beside_something_backs_off_away_from_it():
         assert rover.navigator.place[1] == pytest.approx(expected, abs=0.03)
 
 
-def test_holes_of_four_cells_count_as_seen_and_larger_ones_do_not():
-    for width, seen in ((4, True), (6, False)):
-        cells = np.ones((20, 20), bool)
-        cells[8 : 8 + width, 8 : 8 + width] = False
-        assert _filled(cells)[8 + width // 2, 8 + width // 2] == seen
-    alone = np.zeros((9, 9), bool)
-    alone[4, 4] = True
-    assert _filled(alone).sum() == 9
-
-
 def test_a_turn_ends_where_the_rover_slides_towards_something():
     for box, slides in ((0.42, True), (1.0, False)):
         rover = Rolling()
@@ -321,25 +311,12 @@ def test_paths_lead_around_what_the_other_rover_has_mapped_where_nothing_is_know
     received = Rolling().navigator
     put_box(received, 0.0, 1.0)
     assert len(rover.navigator.path_to(np.array([0.0, 2.0]))) == 2
-    rover.navigator.received = received.ground
+    rover.navigator.received = received.ground.newest
     assert len(rover.navigator.path_to(np.array([0.0, 2.0]))) > 2
     # What the rover has seen itself counts.
     put_box(rover.navigator, 5.0, 5.0)
     assert len(rover.navigator.path_to(np.array([0.0, 2.0]))) == 2
     assert not rover.navigator.high_places().size
-
-
-def test_the_map_that_paths_are_planned_on_stays_the_same_until_something_is_added():
-    navigator, received = Rolling().navigator, Rolling().navigator
-    assert navigator._planned() is navigator.ground
-    put_box(received, 0.0, 1.0)
-    navigator.received = received.ground
-    before = navigator._planned()
-    assert navigator._planned() is before and before is not navigator.ground
-    put_box(navigator, 5.0, 5.0)
-    after = navigator._planned()
-    assert after is not before
-    np.testing.assert_array_equal(after.heights, navigator.ground.heights)
 
 
 def test_a_turn_on_a_slope_needs_room_downhill():
@@ -473,6 +450,29 @@ def localized_at(navigator, rise):
     place = RigidTransform.from_translation([*navigator.place, rise])
     arm, _ = camera_arm(ROBOT)
     return RobotLocalization(arm, place, 1e-6 * np.eye(6), np.zeros((6, 10)))
+
+
+def test_what_was_mapped_higher_before_stands_in_no_way_of_a_rover_that_sees_it_is_not():
+    rover, rng = Rolling(), np.random.default_rng(1)
+    navigator = rover.navigator
+    camera = navigator.odometry.camera(rover.seen.time)[0]
+    sure = np.diag(np.square([0.002, 0.002, 0.01, 0.01, 0.01, 0.01]))
+    for _ in range(3):
+        navigator._map(rover.seen, level_view(camera, rng), camera, sure)  # pyright: ignore
+    before = navigator.ground.newest
+    left = navigator.ground.grid.centres[..., 0] < 0.0
+    before.heights[left] += 0.1
+    cliff = len(navigator.high_places())
+    assert cliff > 100
+    before.heights[~left] -= 1e-9  # So that no rise is as it was.
+    navigator._map(rover.seen, level_view(camera, rng), camera, sure)  # pyright: ignore
+    assert navigator.ground.maps[1] is before
+    assert len(navigator.high_places()) < 0.05 * cliff  # At the view's edge.
+    np.testing.assert_allclose(navigator.heights[navigator.ground.newest.known], 0.0, atol=0.01)
+    # What it does not show now is known as before, and another such view goes on as usual.
+    known = navigator.ground.known.sum()
+    navigator._map(rover.seen, level_view(camera, rng), camera, sure)  # pyright: ignore
+    assert len(navigator.ground.maps) == 2 and navigator.ground.known.sum() >= known
 
 
 def test_a_rover_whose_height_drifts_maps_level_ground_as_level_and_where_it_believes_it():

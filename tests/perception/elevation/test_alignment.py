@@ -20,10 +20,10 @@ def surface(places):
     return ground + 0.08 * ((np.abs(x - 0.5) < 0.05) & (np.abs(y) < 0.05))
 
 
-def view(rng, error, low=(-1.0, -1.0), high=(1.0, 1.0)):
+def view(rng, error, low=(-1.0, -1.0), high=(1.0, 1.0), count=4000):
     """Points of the surface by a camera that is turned and shifted by a twist at its place."""
-    places = rng.uniform(low, high, (4000, 2))
-    points = np.column_stack([places, surface(places) + 0.003 * rng.standard_normal(4000)])
+    places = rng.uniform(low, high, (count, 2))
+    points = np.column_stack([places, surface(places) + 0.003 * rng.standard_normal(count)])
     return (AT_EYE * RigidTransform.from_exp_coords(error) * AT_EYE.inv()).apply(points)
 
 
@@ -92,3 +92,20 @@ def test_what_is_mapped_already_makes_the_tilt_sure():
     rng = np.random.default_rng(4)
     fitted = aligned(mapped(rng), view(rng, np.zeros(6)), EYE, SIGMA)
     assert np.sqrt(np.diag(fitted.covariance)[:2]).max() < 0.005
+
+
+def test_a_map_that_has_drifted_is_contradicted_and_things_that_appear_are_not():
+    rng = np.random.default_rng(6)
+    elevation, sigma = mapped(rng), 1e-6 * np.eye(6)
+    points = view(rng, np.zeros(6), count=40_000)
+    assert aligned(elevation, points, EYE, sigma).contradicted < 0.01
+    # A wall, whose points are above each other, and a block of a tenth of what is seen.
+    stands = points.copy()
+    wall = np.abs(points[:, 1] - 0.2) < 0.2
+    stands[wall, 2] += rng.uniform(0.0, 0.6, np.count_nonzero(wall))
+    stands[(points[:, 0] > 0.3) & (points[:, 1] < -0.7), 2] += 0.1
+    assert 0.02 < aligned(elevation, stands, EYE, sigma).contradicted < 0.12
+    # Half of the map was mapped 0.1 m higher.
+    elevation.heights[:, :80] += 0.1
+    assert 0.4 < aligned(elevation, points, EYE, sigma).contradicted < 0.6
+    assert aligned(elevation, points[:200], EYE, sigma).contradicted == 0.0

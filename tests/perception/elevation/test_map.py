@@ -245,6 +245,16 @@ def test_a_pose_s_error_is_not_averaged_away():
     assert uncertain.variances[CELL] - plain.variances[CELL] == pytest.approx(added)
 
 
+@pytest.mark.parametrize("place", [(0.02, 0.41), (-0.28, 0.23), (0.5, 0.4), (9.0, 9.0)])
+def test_cells_of_a_disc_are_forgotten_and_no_other(place):
+    model = ElevationMap(GRID)
+    model.heights[...], model.variances[...] = 1.0, 1e-4
+    model.forget(np.array(place), 0.12)
+    apart = np.hypot(*np.moveaxis(GRID.centres - place, -1, 0))
+    np.testing.assert_array_equal(model.known, apart >= 0.12)
+    np.testing.assert_array_equal(np.isfinite(model.variances), model.known)
+
+
 def test_points_beyond_the_grid_are_left_out_and_cells_come_in_order():
     rng = np.random.default_rng(7)
     wanted = [(7, 11), (0, 0), (2, 3)]
