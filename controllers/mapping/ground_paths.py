@@ -2,7 +2,8 @@
 
 A rover is a disc about its middle. It may be wherever nothing that is too high to climb is known
 within the disc; over what it climbs it drives only where the way around is much longer, and it
-rather keeps off both. Unknown ground is free, as a rover sees what is before it.
+rather keeps off both. Unknown ground is free, as a rover sees what is before it, and costs what the
+ground costs elsewhere.
 """
 
 import dataclasses
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from controllers.mapping.planar_paths import shortest_paths
 from perception.elevation.grid import ElevationGrid
+from perception.elevation.submaps import filled
 from perception.geometry.arrays import BoolArray, FloatArray
 from perception.geometry.checks import check_numbers
 
@@ -43,6 +45,7 @@ class GroundPathConfig:
         far_cost: How many times its length a path costs over that, beyond once.
         margin: Distance beyond the disc within which things are rather gone around, too [m].
         near_cost: How many times its length a path costs at the disc's edge, beyond once.
+        unknown_cost: How many times its length a path costs over unknown ground, beyond once.
         corner: Length that each corner of a path costs in the open [m]; beside things times the
             square of what a path costs there, as a rover slides aside while it turns.
         inner: Radius of a disc about the rover's middle in which nothing can stand [m]: what the
@@ -61,6 +64,7 @@ class GroundPathConfig:
     far_cost: float = 60.0
     margin: float = 0.25
     near_cost: float = 3.0
+    unknown_cost: float = 0.0
     corner: float = 0.15
     inner: float = 0.2
     least: int = 1
@@ -72,9 +76,10 @@ class GroundPathConfig:
         Raises:
             ValueError: Naming the wrong one.
         """
-        names = {field.name for field in dataclasses.fields(self)} - {"near_cost"}
+        free = {"near_cost", "unknown_cost"}
+        names = {field.name for field in dataclasses.fields(self)} - free
         check_numbers("ground path", self, *sorted(names))
-        check_numbers("ground path", self, "near_cost", zero=True)
+        check_numbers("ground path", self, *sorted(free), zero=True)
 
 
 class MappedRises(NamedTuple):
@@ -159,7 +164,8 @@ def path_lengths(
 ) -> FloatArray:
     """Return the lengths of a rover's paths from cell to cell to several positions.
 
-    They are what the paths cost, so more than their length beside obstacles and over rocks.
+    They are lengths over unknown ground that would cost as much, so more than a path's own length
+    beside obstacles and over rocks.
 
     Args:
         mapped: What is mapped.
@@ -183,7 +189,7 @@ def path_lengths(
     inside[inside] = np.isfinite(costs[*cells[inside].T])
     if inside.any():
         paths = shortest_paths(costs, first, grid.cell, goals=cells[inside])
-        lengths[inside] = paths.lengths[*cells[inside].T]
+        lengths[inside] = paths.lengths[*cells[inside].T] / (1.0 + config.unknown_cost)
     return lengths
 
 
@@ -243,8 +249,8 @@ def path_costs(
             to drive over what can be climbed; None for none.
 
     Returns:
-        (rows, columns) 1 in the open, more beside and over things and where something seems to
-        stand far away, infinite where the rover may not be.
+        (rows, columns) 1 in the open, more beside and over things, over unknown ground and where
+        something seems to stand far away, infinite where the rover may not be.
     """
     fine, grid = mapped.grid, _paths_grid(mapped.grid, config.pool)
     further = _NO_DISCS if discs is None else np.asarray(discs, dtype=float).reshape(-1, 3)
@@ -268,6 +274,8 @@ def path_costs(
     margins = 1.0 - (low_gaps - config.radius) / config.margin
     costs = 1.0 + config.near_cost * np.clip(margins, 0.0, 1.0)
     costs[low_gaps <= config.radius] += config.over_cost
+    unknown = ~_pooled(filled(np.isfinite(mapped.above)), config.pool)
+    costs[unknown] = np.maximum(costs[unknown], 1.0 + config.unknown_cost)
     costs[_gaps(high, grid.cell) <= config.radius] = 1.0 + config.far_cost
     box, apart = grid.box_about(start, config.sure)
     costs[box][(costs[box] > config.far_cost) & (apart <= config.sure)] = np.inf

@@ -297,6 +297,33 @@ def test_doubted_ground_is_gone_around_where_that_is_short():
     np.testing.assert_allclose(path, [start, [2.5, 0.0]])
 
 
+def test_unknown_ground_costs_and_lengths_are_those_over_it():
+    model, how = field([], slope=0.0), dataclasses.replace(HOW, unknown_cost=1.5)
+    x, y = np.moveaxis(model.grid.centres, -1, 0)
+    hidden = (np.abs(x - 1.0) < 0.3) & (y < 0.6)
+    model.heights[hidden] = np.nan
+    costs = path_costs(mapped(model), np.array([-0.5, 0.0]), None, how)
+    np.testing.assert_array_equal(costs[hidden], 2.5)
+    np.testing.assert_array_equal(costs[~hidden], 1.0)
+    # Straight on 2.6 + 0.6 * 1.5 = 3.5 m; past the end 0.7 m aside, which is 3.0 m.
+    start, goals = np.array([-0.3, 0.0]), np.array([[2.3, 0.0], [-0.3, 1.0]])
+    path = plan_path(mapped(model), start, goals[0], config=how)
+    assert path is not None and path[:, 1].max() > 0.55
+    straight = plan_path(mapped(model), start, goals[0], config=HOW)
+    np.testing.assert_allclose(straight, [start, goals[0]])
+    far, aside = path_lengths(mapped(model), start, goals, config=how)
+    assert aside == pytest.approx(1.0 / 2.5, rel=0.1)
+    assert length_of(path) / 2.5 <= far < 1.15 * length_of(path) / 2.5
+
+
+def test_holes_between_far_points_are_no_unknown_ground():
+    model, how = field([]), dataclasses.replace(HOW, unknown_cost=1.5)
+    model.heights[np.random.default_rng(2).uniform(size=(60, 80)) < 0.3] = np.nan
+    model.heights[:, 50:] = np.nan
+    costs = path_costs(mapped(model), np.array([-0.5, 0.0]), None, how)
+    assert np.all(costs[:, 51:] == 2.5) and np.mean(costs[:, :48] == 1.0) > 0.98
+
+
 def test_what_is_high_far_away_costs_and_closer_by_bars_the_way():
     model = field([(row, 60) for row in range(60)])
     start, goal = np.array([-0.5, 0.0]), np.array([2.8, 0.0])
