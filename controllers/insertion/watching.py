@@ -95,25 +95,28 @@ class ArmChoice:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What is mapped before card and slot, in one frame with them.
+    """What is mapped about an arm with a camera, card and slot, in one frame with them.
 
     Attributes:
-        points: (K, 3) points of it [m].
-        occluders: The same as convex pieces.
+        points: (K, 3) points that the arm may not touch [m].
+        occluders: What stands before card and slot, as convex pieces.
     """
 
     points: FloatArray
     occluders: Sequence[Occluder]
 
     @classmethod
-    def of(cls, points: FloatArray, voxel: float = 0.01) -> "Surroundings":
+    def of(
+        cls, points: FloatArray, before: FloatArray | None = None, voxel: float = 0.01
+    ) -> "Surroundings":
         """Return the surroundings that points (K, 3) [m] show.
 
         Args:
             points: Points of obstacles.
+            before: (L, 3) those of them that stand before card and slot [m]; None for all.
             voxel: Edge of the voxels of which occluders are made [m].
         """
-        return cls(points, occluders_of_points(points, voxel))
+        return cls(points, occluders_of_points(points if before is None else before, voxel))
 
     def touched(self, spheres: FloatArray) -> NDArray[np.bool_]:
         """Return (N,), whether one of K spheres (N, K, 4) is within `_MARGIN` of several points."""

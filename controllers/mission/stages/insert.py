@@ -26,6 +26,7 @@ from controllers.motion.arm_move import ArmMove
 from controllers.motion.base_tilt import BaseTilt
 from twin.robot import Command, Observation
 
+_REACH = 0.9  # Distance from the rover within which its arm may touch things [m].
 _GUIDED = (InsertionStage.WAIT, InsertionStage.APPROACH, InsertionStage.ALIGN)
 
 
@@ -91,14 +92,18 @@ class GuideInsertion:
         return master, move
 
     def _surroundings(self, slot: RigidTransform) -> Surroundings | None:
-        """Return what is mapped before the slot, in the robot's frame."""
+        """Return what is mapped about the arm and before the slot, in the robot's frame."""
         if not self._occluders:
             return None
         belief, to_ground = self._belief, self._belief.site.insertion.transform_slot_to_ground
-        ground = belief.mapped_ground()
+        ground, to_robot = belief.mapped_ground(), slot * to_ground.inv()
         normal = to_ground.rotation.apply([0.0, 0.0, 1.0])
-        points = ground.before(np.asarray(to_ground.translation), normal)
-        return Surroundings.of(np.asarray((slot * to_ground.inv()).apply(points)).reshape(-1, 3))
+        before = ground.before(np.asarray(to_ground.translation), normal)
+        points, hiding = (
+            np.asarray(to_robot.apply(each)).reshape(-1, 3) for each in (ground.points, before)
+        )
+        near = np.linalg.norm(points, axis=1) < _REACH
+        return Surroundings.of(points[near], hiding)
 
 
 class InsertCard:

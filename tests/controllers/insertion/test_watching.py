@@ -228,6 +228,12 @@ def test_a_view_keeps_off_what_is_mapped_and_sees_past_it(watched):
             for marker in markers:
                 way = eye_place + np.linspace(0.0, 1.0, 200)[:, None] * (marker - eye_place)
                 assert np.linalg.norm(way[:, None] - post, axis=2).min() > 0.003
+    # What stands beside the view alone is kept off as well, and hides nothing.
+    post = sides_of_post(*eye)
+    choice = best_angles(PLAN, parts, ARM, EYES, now, about=Surroundings.of(post, post[:0]))
+    spheres = arm_spheres(ARM, EYES.baseline, choice.angles[None])[0]
+    apart = np.linalg.norm(spheres[:, None, :3] - post, axis=2) - spheres[:, 3:]
+    assert 0.0 < choice.rating < best.rating and apart.min() > 0.03
     # Nothing mapped changes nothing.
     empty = best_angles(PLAN, parts, ARM, EYES, now, about=Surroundings.of(np.zeros((0, 3))))
     np.testing.assert_array_equal(empty.angles, best.angles)
