@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.drawing import InsertionDrawing
-from controllers.insertion.watching import WatchPlan, arm_spheres, target_field
+from controllers.insertion.watching import WatchPlan, arm_spheres, slants, target_field
 from controllers.kinematics.arm_inverse import parallel_views
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.placement.mapped_ground import MappedGround
@@ -124,6 +124,9 @@ def best_camera_station(
         station = placed(view)
         if station is None or not is_clear(station):
             return False
+        eyes = np.array([view.position, right_of(view.position, station, 1.0)])
+        if slants(eyes, parts.markers(), parts.normals()).max() > plan.slant:
+            return False
         place = np.array(station.place[:2])
         if may_stand is not None and not may_stand(place):
             return False
@@ -135,9 +138,12 @@ def best_camera_station(
             and shows_both_eyes(view.position, station)
         )
 
-    def shows_both_eyes(left: FloatArray, station: CameraStation) -> bool:
+    def right_of(left: FloatArray, station: CameraStation, share: float) -> FloatArray:
         x, y = math.cos(station.place[2]), math.sin(station.place[2])
-        middle = left + 0.5 * head.baseline * np.array([x, y, 0.0])
+        return left + share * head.baseline * np.array([x, y, 0.0])
+
+    def shows_both_eyes(left: FloatArray, station: CameraStation) -> bool:
+        middle = right_of(left, station, 0.5)
         (view,) = rate_positions(field, lens, middle)
         return view.free_cap * view.distance > 0.5 * head.baseline + _SHIFT
 

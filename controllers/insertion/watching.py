@@ -41,6 +41,8 @@ class WatchPlan:
         border: Least distance of markers from the images' edges [px].
         unsure: How much farther from the edges markers have to be that were not seen yet [px]:
             three deviations of a map's 5 mm at 0.45 m, and 20 mrad of the arm.
+        slant: Largest angle between a face with markers and the line of sight of either eye [rad];
+            detectors take markers up to 66 degrees.
         exponents: Exponents of eq. 4-1.
     """
 
@@ -51,6 +53,7 @@ class WatchPlan:
     pitches: FloatArray
     border: float = 14.0
     unsure: float = 36.0
+    slant: float = math.radians(62.0)
     exponents: Exponents = dataclasses.field(default_factory=Exponents)
 
 
@@ -74,6 +77,13 @@ class SeenParts:
         """Return (N, 3) all markers [m]."""
         parts = (self.card_pose, self.card), (self.slot_pose, self.slot)
         return np.concatenate([pose.apply(cad.points) for pose, cad in parts])
+
+    def normals(self) -> FloatArray:
+        """Return (N, 3) unit vectors out of the faces of these markers."""
+        parts = (self.card_pose, self.card), (self.slot_pose, self.slot)
+        return np.concatenate(
+            [np.tile(pose.rotation.apply(cad.normal), (len(cad.points), 1)) for pose, cad in parts]
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -252,14 +262,17 @@ def _best_of(
     near = np.abs(views.angles - now).max(axis=1) <= farthest
     angles = np.vstack([now, views.angles[near & above_its_foot(arm, views.angles)]])
     cameras = arm.tool_in_robot(angles)
-    markers = parts.markers() if whole else parts.card_pose.apply(parts.card.points)
+    count = None if whole else len(parts.card.points)
+    markers, normals = parts.markers()[:count], parts.normals()[:count]
     seen = in_both_images(cameras, markers, geometry, plan.border)
     places = np.asarray(cameras.translation)
+    right = places + geometry.baseline * cameras.rotation.as_matrix()[:, :, 0]
+    for eyes in (places, right):
+        seen &= slants(eyes, markers, normals) < plan.slant
     rated = rate_positions(field, plan.lens, places, None, plan.exponents)
     ratings = np.where(seen, [view.rating for view in rated], 0.0)
     ratings[hides_itself(arm, geometry.baseline, angles, markers)] = 0.0
     if about is not None:
-        right = places + geometry.baseline * cameras.rotation.as_matrix()[:, :, 0]
         others = rate_positions(field, plan.lens, right, None, plan.exponents)
         ratings[[view.rating == 0.0 for view in others]] = 0.0
         ratings[about.touched(arm_spheres(arm, geometry.baseline, angles))] = 0.0
@@ -267,6 +280,19 @@ def _best_of(
     good = np.flatnonzero(ratings >= _AS_GOOD * ratings.max())
     best = int(good[np.argmin(np.abs(angles[good] - now).max(axis=1))])
     return ArmChoice(angles[best], float(ratings[best]), float(ratings[0]), whole)
+
+
+def slants(eyes: FloatArray, points: FloatArray, normals: FloatArray) -> FloatArray:
+    """Return the largest angles (N,) between faces and the lines of sight to them [rad].
+
+    Args:
+        eyes: (N, 3) positions of eyes [m].
+        points: (K, 3) points on the faces [m].
+        normals: (K, 3) unit vectors out of the faces.
+    """
+    sights = eyes[:, None] - points
+    sights /= np.linalg.norm(sights, axis=2)[..., None]
+    return np.arccos(np.clip(np.einsum("nki,ki->nk", sights, normals), -1.0, 1.0)).max(axis=1)
 
 
 def above_its_foot(arm: SerialChain, angles: FloatArray) -> NDArray[np.bool_]:

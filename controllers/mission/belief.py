@@ -11,6 +11,7 @@ from controllers.insertion.camera_station import stereo_geometry
 from controllers.mapping.localization import RobotLocalization, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.stereo_view import MapperConfig
+from controllers.mapping.visual_odometry import levelled
 from controllers.mission.navigator import Navigator
 from controllers.mission.radio import SlotPose
 from controllers.mission.site import SiteDrawing
@@ -28,6 +29,7 @@ _SLIDING = 0.12
 """Standard deviation of a turn share as drawn. Assumption: loads that differ, rocks and rolling
 friction move it by a quarter."""
 _FRICTION = 0.5  # Friction of the ground as long as nothing is known of it. Assumption.
+_RELIEF = 0.03  # Deviation from the field's plane of the ground that a rover stands on [m].
 _PARTNER = 0.27  # Radius of a disc that holds a rover [m].
 _UNSURE = 0.1  # Most by which a rover's disc is larger where its place is not known well [m].
 _VOXEL = 0.01  # Edge of the map's voxels [m].
@@ -121,8 +123,17 @@ class MissionBelief:
         self.navigator.partner = self.partner_in_map
 
     def stay(self) -> None:
-        """Take over the localization that odometry gives where the panel does not show itself."""
-        self.localization = self.navigator.localization()
+        """Take over the localization that odometry gives where the panel does not show itself.
+
+        Its height drifts, which the ground does not: where that tells more, it counts, too.
+        """
+        found = self.navigator.localization()
+        to_map = self.transform_ground_to_map
+        standing = stood(found, to_map, self.robot.centre_height)
+        if standing is not None:
+            self.localize(standing)
+        else:
+            self.localization = found
 
     def place_in_ground(self) -> FloatArray:
         """Return the rover's x, y [m] and yaw [rad] in the ground frame, (3,)."""
@@ -222,6 +233,39 @@ class MissionBelief:
         discs = self.discs()
         flat = np.column_stack([discs[:, :2], np.zeros(len(discs))])
         return np.column_stack([self.transform_ground_to_map.apply(flat)[:, :2], discs[:, 2]])
+
+
+def stood(
+    found: RobotLocalization, transform_ground_to_world: RigidTransform, height: float
+) -> RobotLocalization | None:
+    """Return a localization corrected by the height of a rover that stands on the field.
+
+    Args:
+        found: Localization without that.
+        transform_ground_to_world: Transform from the field's plane to the world.
+        height: Height of the rover's frame above that plane [m].
+
+    Returns:
+        The localization; None where its own height is as sure as the ground's.
+    """
+    normal = transform_ground_to_world.rotation.apply([0.0, 0.0, 1.0])
+    place = found.transform_level_to_world.translation
+    row = np.concatenate([np.cross(place, normal), normal])  # Height above the plane by the twist.
+    covariance = found.robot_covariance()
+    gain = covariance @ row
+    variance = float(row @ gain)
+    if variance < _RELIEF**2:
+        return None
+    gain /= variance + _RELIEF**2
+    lacks = height - float((place - transform_ground_to_world.translation) @ normal)
+    moved = RigidTransform.from_exp_coords(gain * lacks) * found.transform_level_to_world
+    left = covariance - np.outer(gain, row @ covariance)
+    return dataclasses.replace(
+        found,
+        transform_level_to_world=levelled(moved),
+        covariance=0.5 * (left + left.T),
+        by_arm=np.zeros_like(found.by_arm),
+    )
 
 
 @dataclasses.dataclass(frozen=True)

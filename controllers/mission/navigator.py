@@ -100,6 +100,8 @@ class NavigatorConfig:
             measured on 324 markers in 87 views of drawn fields from 1.2 to 2.8 m.
         localization: Standard deviations of localizations by the panel. On a slope of 10 degrees
             the inclinometer mistakes a share, at most 0.04, of one axis' tilt for the other's.
+        climb: Deviation of the odometry's height over the distance since a localization: the head
+            is pitched by some milliradians more or less than stated.
         aura: Margin about the rover's own spheres that is excluded from the map [m].
         touches: Height from which on things are kept off by turns in place and straight drives, as
             mapped: 5 mm less than as they stand [m].
@@ -117,6 +119,7 @@ class NavigatorConfig:
     ahead: tuple[float, float] = (0.6, 0.3)
     marker_sigma: tuple[float, float, float] = (0.07, 0.07, 0.045)
     localization: LocalizationConfig = LocalizationConfig(tilt_zero=0.004)
+    climb: float = 0.01
     aura: float = 0.03
     touches: float = 0.02
     paths: GroundPathConfig = GroundPathConfig(
@@ -189,6 +192,7 @@ class Navigator:
         self.partner: Callable[[], FloatArray] = lambda: np.zeros((0, 2))
         self.keep_off: Callable[[], FloatArray] = lambda: np.zeros((0, 3))
         self._steer = steer
+        self._localized = 0.0  # Distance by the wheels at which it was localized last [m].
         self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
         self._drive: DrivePath | None = None
         self._looks = np.zeros(grid.shape, np.uint8)
@@ -340,7 +344,7 @@ class Navigator:
         Args:
             found: Localization of the rover at its latest pair, at rest.
         """
-        before = self.odometry.level_pose()
+        before, self._localized = self.odometry.level_pose(), self.odometry.distance
         self.odometry.localize(found, self._stamp)
         after = self.odometry.level_pose()
         if self.localized:
@@ -358,8 +362,10 @@ class Navigator:
         """Return the rover's localization by its odometry since the panel was seen."""
         odometry, count = self.odometry, len(self._arm)
         by_arm = np.zeros((6, 6 + count))
+        climb = self._config.climb * (odometry.distance - self._localized)
+        covariance = odometry.covariance + np.diag([0.0] * 5 + [climb**2])
         return RobotLocalization(
-            self._arm, odometry.level_pose(), odometry.covariance, by_arm, self._config.localization
+            self._arm, odometry.level_pose(), covariance, by_arm, self._config.localization
         )
 
     def lengths_to(self, places: FloatArray) -> FloatArray:

@@ -15,6 +15,7 @@ from controllers.insertion.watching import (
     best_angles,
     hides_itself,
     in_both_images,
+    slants,
     target_field,
 )
 from controllers.kinematics.arm_inverse import standing_views
@@ -296,3 +297,26 @@ def _ray_meets(model, data, geoms, side, markers) -> bool:
                 gone += step + 1e-4
                 at = eye + gone * direction
     return False
+
+
+def test_slants_are_those_of_the_steepest_face():
+    up, side = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
+    points, eyes = np.zeros((2, 3)), np.array([[3.0, 0.0, 4.0], [4.0, 0.0, 3.0], [0.0, 0.0, 1.0]])
+    found = slants(eyes, points, np.stack([up, side]))
+    np.testing.assert_allclose(found, np.arccos([0.6, 0.6, 0.0]))
+    np.testing.assert_allclose(slants(eyes, points[:1], up[None]), np.arccos([0.8, 0.6, 1.0]))
+
+
+def test_no_view_is_chosen_in_which_detectors_take_no_marker(watched):
+    """Of a slot that is turned away, the best view is less steep, or there is none."""
+    parts, now = watched[2], best_station(WIDTH).angles
+    for turn in np.radians([0.0, 30.0, 45.0, 60.0, 80.0]):
+        turned = RigidTransform.from_rotation(Rotation.from_euler("x", turn))
+        posed = dataclasses.replace(parts, slot_pose=parts.slot_pose * turned)
+        choice = best_angles(PLAN, posed, ARM, EYES, now)
+        if choice.rating == 0.0 or not choice.whole:
+            assert turn > 0.5
+            continue
+        camera = ARM.tool_in_robot(choice.angles)
+        eyes = camera.apply([[0.0, 0.0, 0.0], [EYES.baseline, 0.0, 0.0]])
+        assert slants(eyes, posed.markers(), posed.normals()).max() < np.radians(62.0)

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.card_arm import CardArm
-from controllers.mapping.localization import tilt_to_level
-from controllers.mission.belief import tilt_of
+from controllers.mapping.localization import RobotLocalization, tilt_to_level
+from controllers.mission.belief import MissionBelief, stood, tilt_of
 from controllers.mission.radio import SlotPose
 from tests.controllers.mission.hand_made import (
     HOME,
@@ -120,3 +120,65 @@ def test_what_stands_on_the_mapped_ground_hides_the_slot_too() -> None:
     assert len(points) == pytest.approx(0.1 * 0.1 * 0.3 / ground.grid.cell**3, rel=0.3)
     occluders = belief.mapped_ground().occluders(np.array([0.0, 0.0, 0.3]), np.array([1.0, 0, 0]))
     assert len(occluders) > 0
+
+
+def drifted(belief: MissionBelief, rise: float, sigma: float) -> RobotLocalization:
+    """Return where a localized rover believes to be, so much too high, by its odometry."""
+    found = belief.navigator.localization()
+    up = RigidTransform.from_translation([0.0, 0.0, rise])
+    covariance = np.diag(np.square([0.004, 0.004, 0.01, 0.03, 0.03, sigma]))
+    return dataclasses.replace(
+        found,
+        transform_level_to_world=up * found.transform_level_to_world,
+        covariance=covariance,
+        by_arm=np.zeros_like(found.by_arm),
+    )
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.2])
+def test_the_ground_tells_a_height_that_has_drifted(sigma: float) -> None:
+    """As a filter of one number does it, where errors of the tilt are small."""
+    belief = localized(MASTER)
+    true = belief.navigator.odometry.level_pose()
+    found = drifted(belief, 0.15, sigma)
+    to_map, height = belief.transform_ground_to_map, ROVERS[MASTER].centre_height
+    standing = stood(found, to_map, height)
+    assert standing is not None
+    error = standing.transform_level_to_world.translation - true.translation
+    share = sigma**2 / (sigma**2 + 0.03**2)
+    assert error[2] == pytest.approx(0.15 * (1.0 - share), abs=0.005)
+    assert np.abs(error[:2]).max() < 0.005
+    left = float(standing.robot_covariance()[5, 5])
+    assert left == pytest.approx(sigma**2 * (1.0 - share), rel=0.15)
+    assert stood(standing, to_map, height) is None  # It tells nothing twice.
+
+
+def test_on_a_field_that_slopes_the_height_is_that_above_its_plane() -> None:
+    belief = localized(MASTER)
+    found = drifted(belief, 0.0, 0.1)
+    to_map, height = belief.transform_ground_to_map, ROVERS[MASTER].centre_height
+    slope = RigidTransform.from_rotation(Rotation.from_euler("x", 0.15))
+    below = to_map * slope
+    standing = stood(found, below, height)
+    assert standing is not None
+    up = below.rotation.apply([0.0, 0.0, 1.0])
+    off, left = (
+        float((pose.translation - below.translation) @ up) - height
+        for pose in (found.transform_level_to_world, standing.transform_level_to_world)
+    )
+    assert abs(off) > 0.03 and abs(left) < 0.2 * abs(off)
+
+
+def test_a_rover_that_stays_takes_its_height_from_the_ground_after_a_long_way_alone() -> None:
+    belief = localized(SLAVE)
+    navigator = belief.navigator
+    belief.stay()
+    before = navigator.odometry.level_pose().translation[2]
+    navigator.odometry.localize(drifted(belief, 0.1, 0.02), 0.0)
+    belief.stay()  # On this short way such a drift is none.
+    assert navigator.odometry.level_pose().translation[2] == pytest.approx(before + 0.1)
+    navigator.odometry.distance += 20.0
+    belief.stay()
+    assert navigator.odometry.level_pose().translation[2] == pytest.approx(before, abs=0.02)
+    assert belief.localization is not None
+    assert belief.localization.robot_covariance()[5, 5] < 0.032**2
