@@ -25,6 +25,7 @@ from perception.markers.ellipses import (
 from perception.stereo.geometry import StereoGeometry
 
 _BAND = 2.5  # Pixels farther than this outside the first ellipse are left out of the fit [px].
+_GAP = 1.0  # How far outside a marker something bright may begin [px].
 _ITERATIONS = 12
 _STEP, _HALT = 2e-3, 0.05  # A fit's last change, and that of one that gets no better [px].
 _ABOVE_NOISE = 5.0  # The top hat's floor is the darkest of a window, two deviations down.
@@ -119,23 +120,35 @@ def _blob_sums(hat: Any, labels: Any, chosen: Any, boxes: Any) -> Any:
 
 
 @numba.njit(cache=True)
+def _peak(image: Any, p: Any) -> float:
+    """Return the brightest grey level in the middle of an ellipse."""
+    u, v = int(round(p[0])), int(round(p[1]))
+    return float(np.max(image[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]))
+
+
+@numba.njit(cache=True)
 def _stands_alone(image: Any, p: Any, contrast: float) -> bool:
-    """Return whether all is darker two pixels outside an ellipse; textures have neighbours."""
+    """Return whether all is darker one or two pixels outside an ellipse; textures have neighbours.
+
+    A pixel's width of a face is enough: beyond its edge may be bright ground.
+    """
     height, width = image.shape
     around, low = 0.0, 255.0
-    u, v = int(round(p[0])), int(round(p[1]))
-    peak = float(np.max(image[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]))
+    peak = _peak(image, p)
     bound = math.sqrt(p[2] * p[4] - p[3] * p[3])
     for k in range(16):
         cos, sin = math.cos(k * math.pi / 8.0), math.sin(k * math.pi / 8.0)
         # The rim along this direction.
         inverse = (p[4] * cos * cos - 2.0 * p[3] * cos * sin + p[2] * sin * sin) / bound**2
-        reach = 1.0 / math.sqrt(inverse) + 2.0
-        u, v = int(round(p[0] + reach * cos)), int(round(p[1] + reach * sin))
-        if not (0 <= u < width and 0 <= v < height):
-            return False
-        low = min(low, float(image[v, u]))
-        around = max(around, float(image[v, u]))
+        darkest = 255.0
+        for gap in (2.0, 1.0):
+            reach = 1.0 / math.sqrt(inverse) + gap
+            u, v = int(round(p[0] + reach * cos)), int(round(p[1] + reach * sin))
+            if not (0 <= u < width and 0 <= v < height):
+                return False
+            darkest = min(darkest, float(image[v, u]))
+        low = min(low, darkest)
+        around = max(around, darkest)
     return peak - around > 0.5 * (peak - low) and peak - around > 0.7 * contrast
 
 
@@ -191,6 +204,8 @@ class RimWindow(NamedTuple):
         right: Last column [px].
         bottom: Last row [px].
         first: (5,) first ellipse.
+        level: Grey level from which on a pixel more than `_GAP` outside the first ellipse is of
+            something else, and left out.
     """
 
     left: int
@@ -198,6 +213,7 @@ class RimWindow(NamedTuple):
     right: int
     bottom: int
     first: FloatArray
+    level: float
 
 
 class NormalEquations(NamedTuple):
@@ -240,7 +256,8 @@ def _sums(
             dx, dy = x - first[0], y - first[1]
             gx, gy = iuu * dx + iuv * dy, iuv * dx + ivv * dy
             rho = math.sqrt(dx * gx + dy * gy)
-            if (rho - 1.0) * rho > _BAND * math.sqrt(gx * gx + gy * gy):
+            outside, slope = (rho - 1.0) * rho, math.sqrt(gx * gx + gy * gy)
+            if outside > _BAND * slope or outside > _GAP * slope and image[y, x] > window.level:
                 continue
             part = _covered(p, x - p[0], y - p[1], slopes)
             weight = 1.0 / (noise**2 + (sampling * p[6]) ** 2 * 4.0 * part * (1.0 - part))
@@ -356,9 +373,9 @@ def _fit(image: Any, start: Any, pixels: PixelNoise, found: MeasuredEllipses, nu
     top, bottom = math.floor(p[1] - reach_y), math.ceil(p[1] + reach_y)
     if left < 0 or top < 0 or right >= width or bottom >= height:
         return False
-    window = RimWindow(left, top, right, bottom, start)
     inside = image[top : bottom + 1, left : right + 1]
-    low, high = float(np.min(inside)), float(np.max(inside))
+    low, high = float(np.min(inside)), _peak(image, start)
+    window = RimWindow(left, top, right, bottom, start, 0.5 * (low + high))
     p[5], p[6] = low, max(high - low, 1.0)
     normal, sums = np.empty((7, 7)), np.empty(3)
     equations = NormalEquations(normal, np.empty(7), sums)

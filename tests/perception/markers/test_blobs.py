@@ -109,3 +109,26 @@ def test_every_disc_of_a_renderer_is_found_though_its_steps_let_weights_chase_th
     # Those that went to and fro are worse than the others, and say so.
     assert np.median(off) < 0.06 and max(off) < 0.4
     assert np.mean(nees) < 1.0 and max(nees) < 7.0
+
+
+@pytest.mark.parametrize("bright", [105.0, 220.0])
+def test_discs_beside_an_edge_with_bright_ground_beyond_are_found_where_they_are(bright):
+    """A dark face ends 1.6 px beside each disc; the ground beyond is as bright as a dim disc."""
+    rng, off, consistency = np.random.default_rng(5), [], []
+    for distance in np.linspace(0.4, 0.7, 8):
+        bodies = poses(distance, 0.6, rng)
+        truth = np.concatenate([seen(b, c.points)[0] for b, c in zip(bodies, (CARD, SLOT))])
+        image = picture(truth, rng, bright=bright, dark=25.0, plate=10).astype(float)
+        for u, v, suu, _, svv in truth:
+            half = int(np.sqrt(svv)) + 10
+            edge = u - np.sqrt(suu) - 1.6
+            beyond = slice(int(v) - half, int(v) + half + 1), slice(int(edge) - 12, int(edge) + 1)
+            image[beyond] = 150.0 + rng.uniform(-20.0, 20.0, image[beyond].shape)
+        grey = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+        expected = MarkerExpectation(0.8 * distance, 1.2 * distance)
+        away, nees = errors(detect_blobs(grey, HEAD, expected), truth)
+        off.append(away)
+        consistency.append(nees)
+    assert np.isfinite(off).mean() > 0.8
+    assert np.nanmean(np.linalg.norm(off, axis=-1)) < 0.1
+    assert np.nanmedian(consistency) < 2.0
