@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from controllers.insertion.camera_station import GAP
 from controllers.insertion.guidance import Guidance
 from controllers.insertion.watching import SeenParts, Surroundings, WatchPlan, best_angles
 from controllers.kinematics.serial_chain import SerialChain
@@ -119,8 +120,13 @@ class MarkerGuide:
         self._pair: NDArray[np.uint8] = np.empty(0, np.uint8)
 
     def begin(self) -> FloatArray:
-        """Choose the camera's first goal from the prior poses; return joint angles (4,) [rad]."""
-        self._place(sure=False)
+        """Choose the camera's first goal from the prior poses; return joint angles (4,) [rad].
+
+        Where no pose shows the card as it is, it is that for a card aligned before the slot.
+        """
+        if not self._place(sure=False):
+            ahead = RigidTransform.from_translation([0.0, -GAP, 0.0])
+            self._place(sure=False, card=self.transform_slot_to_robot * ahead)
         return self._goal
 
     def step(self, seen: Observation) -> tuple[Command, Guidance | None]:
@@ -233,18 +239,21 @@ class MarkerGuide:
         card, slot = self.transform_card_to_robot, self.transform_slot_to_robot
         return SeenParts(card, slot, self.config.card, self.config.slot)
 
-    def _place(self, sure: bool) -> None:
-        """Set a clearly better camera pose as the goal, if a candidate is one.
+    def _place(self, sure: bool, card: RigidTransform | None = None) -> bool:
+        """Set a clearly better camera pose as the goal; return whether any shows the card.
 
         Args:
             sure: Whether card and slot were seen lately, both in one pair.
+            card: Pose of the card, robot frame; None for its estimate.
         """
         plan = self.config.plan
         if plan is None:
-            return
+            return False
         follows = self._found and not sure
         farthest = self.config.aside if follows else math.inf
         parts = self._parts()
+        if card is not None:
+            parts = dataclasses.replace(parts, card_pose=card)
         found = best_angles(
             plan, parts, self._arm, self._geometry, self._goal, sure, farthest, self._about
         )
@@ -253,6 +262,7 @@ class MarkerGuide:
         if better and (found.whole or found.rating_now == 0.0):
             self._goal = found.angles
             self.moves += 1
+        return found.rating > 0.0
 
     def _move(self) -> Command:
         """Move the joints a step towards the goal."""

@@ -5,7 +5,7 @@ import dataclasses
 import mujoco
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion import marker_guide
 from controllers.insertion.marker_guide import MarkerGuide, MarkerGuideConfig
@@ -235,6 +235,20 @@ def test_camera_moves_to_its_goal_no_faster_than_the_rate_limit(eyes):
     assert steps.max() < 0.5 * 0.01 + 1e-12
     # All joints arrive at once, after 0.3 rad at 0.5 rad/s.
     assert np.ptp(np.argmax(np.isclose(wanted, goal), axis=0)) <= 1
+
+
+def test_of_a_card_that_no_view_shows_the_first_one_shows_the_slot_and_where_it_will_come(eyes):
+    made = eyes.marker_guide(prior_error=False)
+    slot, start = made.transform_slot_to_robot, eyes.angles + [0.6, 0.0, 0.0, 0.0]
+    away = RigidTransform.from_rotation(Rotation.from_euler("x", np.pi))
+    config = dataclasses.replace(made.config, plan=PLAN)
+    for card in (made.transform_card_to_robot, made.transform_card_to_robot * away):
+        goal = MarkerGuide(config, ARM, EYES, (slot, PRIOR), card, start).begin()
+        aligned = slot * RigidTransform.from_translation([0.0, -0.2, 0.0])
+        parts = dataclasses.replace(true_parts(eyes.data), card_pose=aligned, slot_pose=slot)
+        camera = ARM.tool_in_robot(goal[None])
+        assert in_both_images(camera, parts.markers(), EYES, PLAN.border).all()
+        assert np.abs(goal - start).max() > 0.1
 
 
 @pytest.mark.parametrize("rating, moves", [(1.1, 0), (1.2, 1)])
