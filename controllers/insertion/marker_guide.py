@@ -258,8 +258,9 @@ class MarkerGuide:
             plan, parts, self._arm, self._geometry, self._goal, sure, farthest, self._about
         )
         better = found.rating > self.config.better * found.rating_now
-        # A card alone is followed, not seen better.
-        if better and (found.whole or found.rating_now == 0.0):
+        # A card alone is followed, not seen better; where it will come nothing is seen of it yet.
+        alone = found.rating_now == 0.0 and card is None
+        if better and (found.whole or alone):
             self._goal = found.angles
             self.moves += 1
         return found.rating > 0.0

@@ -25,7 +25,7 @@ from twin.robot import Command, Observation
 _ROOMS = (0.12, 0.02, None)
 """Room about the camera station that is wanted, and what is content with if there is none [m]: a
 rover slides as it turns there."""
-_NEAR_SLOT, _NEAR_STATION = (0.04, 0.07), (0.1, 1.8)
+_NEAR_SLOT, _NEAR_STATION = (0.04, 0.07), (0.06, 1.8)
 """Tolerances of both rovers' places: distance [m] and heading [rad]. The arm makes up for the
 heading of the one that watches."""
 
