@@ -7,13 +7,11 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.mission.behaviours import DRIVING, Driven
-from controllers.mission.belief import MissionBelief
 from controllers.mission.stage import StageError
 from controllers.mission.stages import go_to
 from controllers.mission.stages.go_to import GoToPlace, Wait
-from tests.controllers.mission.hand_made import SITE, SLAVE, at_once, belief_of
+from tests.controllers.mission.hand_made import SLAVE, at_once, belief_of, localized
 from tests.controllers.motion.seen import PAIR, seen_at
-from twin.describe import describe_rover
 
 
 class GoBy(GoToPlace):
@@ -192,12 +190,10 @@ def test_a_rover_that_has_docked_turns_until_its_head_sees_it_in_its_heading(
 
 
 def test_a_rover_that_waits_looks_every_ten_seconds_whether_it_still_stands(monkeypatch):
-    belief = MissionBelief.initial(describe_rover(), SITE)
+    belief = localized(SLAVE)
     navigator, looks = belief.navigator, []
     monkeypatch.setattr(navigator, "take", lambda seen, at_rest: looks.append(seen.time))
-    wait, time = Wait("place", belief), 0.0
-    navigator.observe(seen_at(0.0, np.zeros(4), DRIVING, PAIR, 0.0))
-    belief.localization = before = navigator.localization()
+    wait, time, before = Wait("place", belief), 0.0, belief.localization
     while time < 35.0:
         time += 0.01
         wait.step(seen_at(time, np.zeros(4), DRIVING, PAIR, time))
