@@ -58,12 +58,18 @@ class InsertionDrawing:
     slot_holder: FloatArray
     connector: Connector | None = None
 
-    def parts(self, gap: float) -> SeenParts:
-        """Return card and slot aligned at a gap, ground frame.
+    def parts(
+        self, gap: float, transform_ground_to_frame: RigidTransform | None = None
+    ) -> SeenParts:
+        """Return card and slot aligned at a gap.
 
         Args:
             gap: Distance from the card's leading edge to the mouth [m].
+            transform_ground_to_frame: Transform from the ground frame to that of the result; None
+                for the ground frame.
         """
         slot = self.transform_slot_to_ground
         card = RigidTransform.from_components(slot.translation - [0.0, gap, 0.0], slot.rotation)
+        if transform_ground_to_frame is not None:
+            slot, card = (transform_ground_to_frame * pose for pose in (slot, card))
         return SeenParts(card, slot, self.card, self.slot)

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.identification.pitch import PitchEstimate
 from controllers.insertion.camera_station import stereo_geometry
+from controllers.insertion.watching import Surroundings
 from controllers.mapping.localization import RobotLocalization, tilt_to_level
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.stereo_view import MapperConfig
@@ -30,6 +31,7 @@ _SLIDING = 0.12
 friction move it by a quarter."""
 _FRICTION = 0.5  # Friction of the ground as long as nothing is known of it. Assumption.
 _RELIEF = 0.03  # Deviation from the field's plane of the ground that a rover stands on [m].
+_REACH = 0.9  # Distance from the rover within which its arm may touch things [m].
 _PARTNER = 0.27  # Radius of a disc that holds a rover [m].
 _UNSURE = 0.1  # Most by which a rover's disc is larger where its place is not known well [m].
 _VOXEL = 0.01  # Edge of the map's voxels [m].
@@ -208,6 +210,22 @@ class MissionBelief:
         apart = np.linalg.norm(columns.reshape(-1, 1, 3)[..., :2] - discs[:, :2], axis=2)
         further = columns.reshape(-1, 3)[np.all(apart > discs[:, 2], axis=1)]
         return MappedGround(self.map.voxels.surface(), to_ground, further=further)
+
+    def surroundings(self, transform_slot_to_robot: RigidTransform) -> Surroundings:
+        """Return what is mapped about the arm and before the slot, in the robot's frame.
+
+        Args:
+            transform_slot_to_robot: Pose of the slot in the robot's frame.
+        """
+        to_ground, ground = self.site.insertion.transform_slot_to_ground, self.mapped_ground()
+        normal = to_ground.rotation.apply([0.0, 0.0, 1.0])
+        before = ground.before(np.asarray(to_ground.translation), normal)
+        points, hiding = (
+            np.asarray((transform_slot_to_robot * to_ground.inv()).apply(each)).reshape(-1, 3)
+            for each in (ground.points, before)
+        )
+        near = np.linalg.norm(points, axis=1) < _REACH
+        return Surroundings.of(points[near], hiding)
 
     def partner_place(self) -> FloatArray | None:
         """Return (2,) the other rover's place in the ground frame [m]; None if it is unknown."""

@@ -1,13 +1,22 @@
 """Both rovers of a mission; the controller that the loop runs."""
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from controllers.insertion.camera_station import CameraStation, best_camera_station
+from controllers.insertion.camera_station import (
+    GAP,
+    best_camera_station,
+    camera_arm,
+    stereo_geometry,
+    watch_plan,
+)
 from controllers.insertion.card_arm import CardArm
-from controllers.mission.belief import MissionBelief
+from controllers.insertion.watching import best_angles
+from controllers.mission.belief import MissionBelief, tilt_of
 from controllers.mission.config import STAGES, MissionConfig
 from controllers.mission.radio import MissionRadio
 from controllers.mission.robot_mission import RobotMission
@@ -19,12 +28,14 @@ from controllers.mission.stages.insert import GuideInsertion, InsertCard
 from controllers.mission.stages.map_site import MapSite
 from controllers.mission.stages.search import SearchPanel
 from controllers.placement.task import PlacementError
+from perception.geometry.arrays import FloatArray
 from twin.link import Link
 from twin.robot import Command, Observation
 
 _ROOMS = (0.12, 0.02, None)
 """Room about the camera station that is wanted, and what is content with if there is none [m]: a
 rover slides as it turns there."""
+_ELSEWHERE = 0.15  # Distance of a place from one that did not suit [m].
 _NEAR_SLOT, _NEAR_STATION = (0.04, 0.07), (0.06, 1.8)
 """Tolerances of both rovers' places: distance [m] and heading [rad]. The arm makes up for the
 heading of the one that watches."""
@@ -120,7 +131,8 @@ def _master_stages(
     yield SearchPanel(belief, radio, True, rng)
     yield MapSite(belief, config.scans, rng)
     occluders = config.without != "occluders"
-    yield GoToPlace("place", belief, lambda: best_station(belief, occluders).place, _NEAR_STATION)
+    stations = CameraStations(belief, occluders)
+    yield GoToPlace("place", belief, stations.best, _NEAR_STATION, stations.suits)
     yield Wait("approach", belief)
     yield GuideInsertion(belief, radio, card, occluders)
 
@@ -137,27 +149,65 @@ def _slave_stages(
     yield InsertCard(belief, radio, watched=config.without != "cooperation")
 
 
-def best_station(belief: MissionBelief, occluders: bool) -> CameraStation:
-    """Return the best camera station that the master can reach, on its map.
+class CameraStations:
+    """Camera stations of the master, on its map.
 
     Args:
         belief: Estimates of the master.
         occluders: Whether what is mapped is taken into account.
-
-    Raises:
-        StageError: If there is none.
     """
-    to_map, reason = belief.transform_ground_to_map, ""
-    ground = belief.mapped_ground() if occluders else None
-    for room in _ROOMS:
-        stands = belief.navigator.standing_places(room)
-        try:
-            return best_camera_station(
-                belief.robot,
-                belief.site.insertion,
-                ground=ground,
-                may_stand=lambda place, stands=stands: stands(to_map.apply([*place, 0.0])[:2]),
-            )
-        except PlacementError as error:
-            reason = str(error)
-    raise StageError("place", reason)
+
+    def __init__(self, belief: MissionBelief, occluders: bool) -> None:
+        self._belief, self._occluders = belief, occluders
+        self._unfit: list[FloatArray] = []  # Places (2,) that did not suit, ground frame.
+
+    def best(self) -> tuple[float, float, float]:
+        """Return x, y [m] and yaw [rad] of the best station within reach, ground frame.
+
+        Raises:
+            StageError: If there is none.
+        """
+        belief, reason = self._belief, ""
+        ground = belief.mapped_ground() if self._occluders else None
+        for room in _ROOMS:
+            stands = belief.navigator.standing_places(room)
+            try:
+                return best_camera_station(
+                    belief.robot,
+                    belief.site.insertion,
+                    ground=ground,
+                    may_stand=lambda place, stands=stands: self._may_stand(place, stands),
+                ).place
+            except PlacementError as error:
+                reason = str(error)
+        raise StageError("place", reason)
+
+    def suits(self, seen: Observation) -> bool:
+        """Return whether an arm at rest has a view of slot and aligned card from where it stands.
+
+        Args:
+            seen: Observation of the master.
+        """
+        belief = self._belief
+        drawing, (arm, head) = belief.site.insertion, camera_arm(belief.robot)
+        slot, _ = belief.slot_in_robot(tilt_of(seen, belief.robot.name))
+        to_robot = slot * drawing.transform_slot_to_ground.inv()
+        about = belief.surroundings(slot) if self._occluders else None
+        view = best_angles(
+            watch_plan(head, drawing),
+            drawing.parts(GAP, to_robot),
+            arm,
+            stereo_geometry(belief.robot),
+            belief.home,
+            sure=False,
+            about=about,
+        )
+        if not view.whole:
+            self._unfit.append(belief.place_in_ground()[:2])
+        return view.whole
+
+    def _may_stand(self, place: FloatArray, stands: Callable[[ArrayLike], bool]) -> bool:
+        """Return whether the master may stand at a place (2,), ground frame."""
+        if any(math.dist(place, each) < _ELSEWHERE for each in self._unfit):
+            return False
+        return stands(self._belief.transform_ground_to_map.apply([*place, 0.0])[:2])

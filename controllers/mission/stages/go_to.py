@@ -59,6 +59,8 @@ class GoToPlace(DrivingPart):
         choose: Returns x, y [m] and yaw [rad] of the place, ground frame; called again after a
             drive that did not get there.
         near: Tolerances of the place: distance [m] and heading [rad].
+        suits: Returns whether the rover can do there what it is to do, at an observation at rest;
+            else another place is chosen. None if it always can.
 
     Attributes:
         place: (3,) place to drive to, ground frame.
@@ -71,15 +73,18 @@ class GoToPlace(DrivingPart):
         belief: MissionBelief,
         choose: Callable[[], tuple[float, float, float]],
         near: tuple[float, float],
+        suits: Callable[[Observation], bool] | None = None,
     ) -> None:
         super().__init__(belief)
         self.name, self.place, self.stops = name, choose(), 0
+        self._suits = suits
         self._choose, self._near = choose, near
         self._reason = ""  # Why the last drive has not arrived.
         self._docks = False  # Whether it was to stop short of the place.
 
     def _run(self, seen: Observation) -> Behaviour:
-        while self.stops == 0 or self._missed():
+        suited = False
+        while not suited:
             if self.stops == _MOST_DRIVES:
                 off, turn = self._off()
                 why = f": {self._reason}" if self._reason else ""
@@ -97,6 +102,9 @@ class GoToPlace(DrivingPart):
             if not (docks or self._reason) and after > max(self._near[0], _NO_NEARER * before):
                 self._reason = "it gets no nearer"
                 seen = yield from retreat(seen, self._navigator, held=after > _CLOSE)
+            elif not self._missed():
+                suited = self._suits is None or self._suits(seen)
+                self._reason = "" if suited else "it cannot see what it is to watch"
         return seen
 
     def _go(self, seen: Observation) -> Behaviour:

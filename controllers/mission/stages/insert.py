@@ -17,7 +17,6 @@ from controllers.insertion.team import (
     seating_config,
     surrogate_sensing,
 )
-from controllers.insertion.watching import Surroundings
 from controllers.mapping.searching import aim
 from controllers.mission.belief import MissionBelief, tilt_of
 from controllers.mission.radio import MissionRadio, RadioPort, SlotPose
@@ -26,7 +25,6 @@ from controllers.motion.arm_move import ArmMove
 from controllers.motion.base_tilt import BaseTilt
 from twin.robot import Command, Observation
 
-_REACH = 0.9  # Distance from the rover within which its arm may touch things [m].
 _GUIDED = (InsertionStage.WAIT, InsertionStage.APPROACH, InsertionStage.ALIGN)
 
 
@@ -83,27 +81,13 @@ class GuideInsertion:
         slot, card = belief.slot_in_robot(tilt), belief.card_in_robot(tilt, slave, self._card)
         middle = 0.5 * (slot[0].translation + card.translation)
         start = aim(camera_arm(belief.robot)[0], middle, belief.home)
-        about = self._surroundings(slot[0])
+        about = belief.surroundings(slot[0]) if self._occluders else None
         guide = marker_guide(
             belief.robot, belief.site.insertion, slot, card, start, placed=True, about=about
         )
         master = InsertionMaster(name, guide, GuidanceLink(self._port))
         move = ArmMove(guide.begin(), speed=0.5, footing=belief.navigator.footing)
         return master, move
-
-    def _surroundings(self, slot: RigidTransform) -> Surroundings | None:
-        """Return what is mapped about the arm and before the slot, in the robot's frame."""
-        if not self._occluders:
-            return None
-        belief, to_ground = self._belief, self._belief.site.insertion.transform_slot_to_ground
-        ground, to_robot = belief.mapped_ground(), slot * to_ground.inv()
-        normal = to_ground.rotation.apply([0.0, 0.0, 1.0])
-        before = ground.before(np.asarray(to_ground.translation), normal)
-        points, hiding = (
-            np.asarray(to_robot.apply(each)).reshape(-1, 3) for each in (ground.points, before)
-        )
-        near = np.linalg.norm(points, axis=1) < _REACH
-        return Surroundings.of(points[near], hiding)
 
 
 class InsertCard:

@@ -55,6 +55,18 @@ def test_after_a_drive_that_failed_the_place_is_chosen_anew(monkeypatch):
     assert stage.done and went == [(2.0, 0.0), (3.0, 0.0)] and stage.place == (3.0, 0.0, 0.0)
 
 
+def test_a_place_that_does_not_suit_is_left_for_another(monkeypatch):
+    stage, went = stage_with(monkeypatch, lambda count: True)
+    suits = iter([False, False, True])
+    stage._suits = lambda seen: next(suits)  # pyright: ignore
+    stage.step(seen_at(0.01))
+    assert stage.done and [place for place, _ in went] == [2.0, 3.0, 4.0]
+    stage, _ = stage_with(monkeypatch, lambda count: True)
+    stage._suits = lambda seen: False  # pyright: ignore
+    with pytest.raises(StageError, match="10 drives: it cannot see what it is to watch"):
+        stage.step(seen_at(0.01))
+
+
 def test_where_no_other_place_is_within_reach_it_is_that_of_before(monkeypatch):
     stage, went = stage_with(monkeypatch, lambda count: count == 3)
 

@@ -6,13 +6,15 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from controllers.insertion.watching import ArmChoice
 from controllers.mission import robot_mission, team
+from controllers.mission.belief import MissionBelief
 from controllers.mission.config import STAGES, MissionConfig
 from controllers.mission.radio import PATIENCE, MissionRadio
 from controllers.mission.robot_mission import RobotMission
 from controllers.mission.site import MissionRoles
 from controllers.mission.stage import MissionStage, StageError
-from controllers.mission.team import MissionTeam
+from controllers.mission.team import CameraStations, MissionTeam
 from tests.controllers.mission.hand_made import (
     MASTER,
     POSES,
@@ -158,8 +160,6 @@ def test_the_rovers_have_their_parts_of_all_stages_in_order(
         ("MapSite", "map"), ("GuideInsertion", "insert"), ("InsertCard", "insert"),
     ):  # fmt: skip
         monkeypatch.setattr(team, kind, stand_in(name))
-    station = type("Station", (), {"place": (1.0, 0.0, 0.0)})()
-    monkeypatch.setattr(team, "best_station", lambda belief, occluders: station)
     links = dict(zip((MASTER, SLAVE), hand_links(), strict=True))
     roles = MissionRoles(ROVERS[MASTER], ROVERS[SLAVE])
     both = MissionTeam(roles, SITE, MissionConfig(), np.random.default_rng(0), links)
@@ -171,6 +171,49 @@ def test_the_rovers_have_their_parts_of_all_stages_in_order(
     for name in (MASTER, SLAVE):
         assert [stage for robot, stage in made if robot == name] == list(STAGES)
     assert both.notices == []
+
+
+def at_its_best_station(monkeypatch: pytest.MonkeyPatch) -> MissionBelief:
+    """Return the estimates of a master that stands at its best station, on level ground."""
+    best = CameraStations(localized(MASTER), True).best()
+    monkeypatch.setitem(POSES, MASTER, best)
+    belief = localized(MASTER)
+    ground = belief.navigator.ground.newest
+    ground.heights[...] = belief.transform_ground_to_map.translation[2]
+    ground.variances[...] = 1e-6
+    return belief
+
+
+def test_a_station_suits_unless_something_hides_the_slot_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    belief = at_its_best_station(monkeypatch)
+    assert CameraStations(belief, True).suits(seen_at(0.0))
+    x, y, _ = POSES[MASTER]
+    to_map, ground = belief.transform_ground_to_map, belief.navigator.ground.newest
+    for share in np.linspace(0.5, 0.6, 5):  # A wall across, between it and the slot.
+        for across in np.linspace(-0.6, 0.6, 80):
+            away = share * np.array([x, y]) + across * np.array([-y, x])
+            place = np.asarray(to_map.apply([*away, 0.0]))[:2]
+            row, column = ground.grid.cells_of(place)
+            ground.heights[row, column] = to_map.translation[2] + 0.6
+    assert not CameraStations(belief, True).suits(seen_at(0.0))
+    assert CameraStations(belief, False).suits(seen_at(0.0))  # As if nothing was mapped.
+
+
+def test_another_station_is_chosen_than_one_that_does_not_suit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    belief = at_its_best_station(monkeypatch)
+    stations = CameraStations(belief, True)
+    first = stations.best()
+    nothing = ArmChoice(belief.home, 0.0, 0.0, False)
+    monkeypatch.setattr(team, "best_angles", lambda *_, **__: nothing)
+    assert not stations.suits(seen_at(0.0))
+    second = stations.best()
+    assert np.hypot(*np.subtract(first, second)[:2]) > 0.1
+    place = belief.place_in_ground()[:2]
+    assert np.hypot(*(np.array(second)[:2] - place)) >= 0.15
 
 
 def test_a_rover_reads_the_others_place_from_its_status(monkeypatch: pytest.MonkeyPatch) -> None:
