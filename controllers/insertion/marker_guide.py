@@ -122,7 +122,8 @@ class MarkerGuide:
     def begin(self) -> FloatArray:
         """Choose the camera's first goal from the prior poses; return joint angles (4,) [rad].
 
-        Where no pose shows the card as it is, it is that for a card aligned before the slot.
+        Where no pose shows both as they are, it is that for a card aligned before the slot, and
+        where none shows that either, one that shows the card.
         """
         if not self._place(sure=False):
             ahead = RigidTransform.from_translation([0.0, -GAP, 0.0])
@@ -240,7 +241,7 @@ class MarkerGuide:
         return SeenParts(card, slot, self.config.card, self.config.slot)
 
     def _place(self, sure: bool, card: RigidTransform | None = None) -> bool:
-        """Set a clearly better camera pose as the goal; return whether any shows the card.
+        """Set a clearly better camera pose as the goal; return whether any shows both.
 
         Args:
             sure: Whether card and slot were seen lately, both in one pair.
@@ -263,7 +264,7 @@ class MarkerGuide:
         if better and (found.whole or alone):
             self._goal = found.angles
             self.moves += 1
-        return found.rating > 0.0
+        return found.whole
 
     def _move(self) -> Command:
         """Move the joints a step towards the goal."""

@@ -9,6 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from controllers.insertion.camera_station import (
     GAP,
+    CameraStation,
     best_camera_station,
     camera_arm,
     stereo_geometry,
@@ -132,7 +133,7 @@ def _master_stages(
     yield MapSite(belief, config.scans, rng)
     occluders = config.without != "occluders"
     stations = CameraStations(belief, occluders)
-    yield GoToPlace("place", belief, stations.best, _NEAR_STATION, stations.suits)
+    yield GoToPlace("place", belief, lambda: stations.best().place, _NEAR_STATION, stations.suits)
     yield Wait("approach", belief)
     yield GuideInsertion(belief, radio, card, occluders)
 
@@ -161,8 +162,8 @@ class CameraStations:
         self._belief, self._occluders = belief, occluders
         self._unfit: list[FloatArray] = []  # Places (2,) that did not suit, ground frame.
 
-    def best(self) -> tuple[float, float, float]:
-        """Return x, y [m] and yaw [rad] of the best station within reach, ground frame.
+    def best(self) -> CameraStation:
+        """Return the best station within reach.
 
         Raises:
             StageError: If there is none.
@@ -177,7 +178,7 @@ class CameraStations:
                     belief.site.insertion,
                     ground=ground,
                     may_stand=lambda place, stands=stands: self._may_stand(place, stands),
-                ).place
+                )
             except PlacementError as error:
                 reason = str(error)
         raise StageError("place", reason)

@@ -175,7 +175,7 @@ def test_the_rovers_have_their_parts_of_all_stages_in_order(
 
 def at_its_best_station(monkeypatch: pytest.MonkeyPatch) -> MissionBelief:
     """Return the estimates of a master that stands at its best station, on level ground."""
-    best = CameraStations(localized(MASTER), True).best()
+    best = CameraStations(localized(MASTER), True).best().place
     monkeypatch.setitem(POSES, MASTER, best)
     belief = localized(MASTER)
     ground = belief.navigator.ground.newest
@@ -206,11 +206,11 @@ def test_another_station_is_chosen_than_one_that_does_not_suit(
 ) -> None:
     belief = at_its_best_station(monkeypatch)
     stations = CameraStations(belief, True)
-    first = stations.best()
+    first = stations.best().place
     nothing = ArmChoice(belief.home, 0.0, 0.0, False)
     monkeypatch.setattr(team, "best_angles", lambda *_, **__: nothing)
     assert not stations.suits(seen_at(0.0))
-    second = stations.best()
+    second = stations.best().place
     assert np.hypot(*np.subtract(first, second)[:2]) > 0.1
     place = belief.place_in_ground()[:2]
     assert np.hypot(*(np.array(second)[:2] - place)) >= 0.15

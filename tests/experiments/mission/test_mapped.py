@@ -11,7 +11,7 @@ from controllers.mission.radio import MissionRadio
 from controllers.mission.robot_mission import RobotMission
 from controllers.mission.stages.go_to import Wait
 from controllers.mission.stages.map_site import MapSite
-from controllers.mission.team import best_station
+from controllers.mission.team import CameraStations
 from experiments.mission.scene import MASTER, PILLAR, SLAVE, MissionScene, draw_scene
 from experiments.mission.trial import MissionTrial, generators, prepared
 from tests.experiments.mission.test_inserted import Placed
@@ -83,7 +83,7 @@ def test_the_site_is_mapped_in_all_views_with_the_pillar(mapped: tuple) -> None:
 def test_at_the_station_arm_and_head_keep_clear_of_the_true_pillar(mapped: tuple) -> None:
     _, mission, scene = mapped
     belief = mission.team.master.belief
-    station = best_station(belief, occluders=True)
+    station = CameraStations(belief, occluders=True).best()
     pillar, half = pillar_of(scene), PILLAR[0] / 2.0
     spheres = held_space(belief.robot, station)
     # A square pillar is farther than a disc about its corners.
