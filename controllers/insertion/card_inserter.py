@@ -59,10 +59,6 @@ class CardInserterConfig:
         card_speed: Speed at which the arm moves the card [m/s].
         card_turn: Turning rate at which the arm pitches the card [rad/s].
         near: Distance of the robot to its goal at which the wheels stop [m].
-        look_ahead: Distance over which the robot steers onto the slot's line [m]: on rough ground
-            it turns by some 1 rad/m otherwise than its wheels ask for, which puts it that times
-            the distance's square beside the line.
-        aslant: Largest angle to that line at which it does [rad].
         aligned: Errors across and ahead [m] and turn [rad] within which the card is aligned.
         looks: Number of views in a row that have to show it aligned.
         crooked: Angle out of the slot's plane beyond which a card does not go into guides [rad]: it
@@ -72,7 +68,8 @@ class CardInserterConfig:
         patience: Time before the slot after which the card is inserted by the estimate [s].
         stale: Age of the last view beyond which the slave stops unless the slot's covariance is
             small enough for dead reckoning [s].
-        known: Largest standard deviation of the slot's position for dead reckoning [m].
+        known: Largest standard deviation of the slot's position for dead reckoning [m], and for an
+            insertion by the estimate.
         lost: Age of the last view at which the insertion fails [s].
         first: Time without a first view after which it fails [s]; until then nothing moves.
         following: Share of the speeds until the master has seen card and slot together: till then
@@ -96,8 +93,6 @@ class CardInserterConfig:
     card_speed: float = 0.03
     card_turn: float = 0.15
     near: float = 0.006
-    look_ahead: float = 0.06
-    aslant: float = 0.25
     aligned: tuple[float, float] = (7e-4, math.radians(0.5))
     looks: int = 3
     crooked: float = math.radians(1.5)
@@ -159,8 +154,8 @@ class CardInserter:
         self._load = 0.0  # Force that the limit applies to [N].
         self._time, self._since, self._last_view = 0.0, 0.0, -math.inf
         self._good, self._both_seen = 0, False
-        # Whether and how often the robot has backed off, and how far right of the slot's line it
-        # then is to stand [m].
+        # Whether and how often the robot has backed off, and how far right of the slot's line the
+        # arm's base then is to be [m].
         self._backings, self._backing, self._aside = 0, False, 0.0
         self._tare: list[FloatArray] = []
         self._offset = np.zeros(6)
@@ -255,9 +250,7 @@ class CardInserter:
             assert self.belief.transform_slot_to_card is not None
             self.error = to_plane(self.belief.transform_slot_to_card.inv().as_matrix())
             self.error[1] += self.config.stand_off
-            across, turn = self.config.aligned
-            fits = np.all(np.abs(self.error[:3]) < [across, across, turn])
-            self._good = self._good + 1 if fits else 0
+            self._good = self._good + 1 if self._is_aligned(self.error) else 0
 
     def _feel(self, seen: Observation, angles: FloatArray) -> None:
         """Estimate the contact wrench on the card, less its tare."""
@@ -289,27 +282,35 @@ class CardInserter:
         if age > config.stale and self.belief.deviation() > config.known:
             return self._hold()
         slot = inverse(self._odometry.pose()) @ self.belief.slot_in_start
-        gap = float(slot[1, 3]) - config.reach - config.stand_off
+        aside, gap = self._to_place(slot)
         wheels = _STILL
         if self.stage is InsertionStage.APPROACH:
             self._backing &= gap < config.room - config.near
-            wheels = self._steer_to(slot, gap - config.room if self._backing else gap)
+            wheels = self._wheels_to(aside, gap - config.room if self._backing else gap)
             if abs(gap) < config.near and not self._backing:
                 self._enter(InsertionStage.ALIGN)
         # While the robot is far away, the card stays within easy reach of the arm.
         away = max(gap, 0.0) if self.stage is InsertionStage.APPROACH else 0.0
         rates = self._bring(slot, np.array([0.0, -config.stand_off - away, 0.0]))
         if self.stage is InsertionStage.ALIGN:
-            waited = self._time - self._since
-            tared = len(self._tare) * config.period >= config.settle - 1e-9
-            ready = self._good >= config.looks or waited > config.patience or not config.watched
-            if tared and ready:
-                yaw = float(to_plane(inverse(slot) @ self._arm.card_frame(angles))[4])
-                if self._is_crooked(yaw):
-                    self._back_off(slot, yaw)
+            waited = self._time - self._since > config.patience
+            if waited and config.watched and self.belief.deviation() > config.known:
+                # The master may see the slot all the time, and no card before it.
+                return self._fail("target not seen", angles)
+            card = to_plane(inverse(slot) @ self._arm.card_frame(angles))
+            card[1] += config.stand_off
+            shown = self._good >= config.looks if config.watched else self._is_aligned(card)
+            if len(self._tare) * config.period >= config.settle - 1e-9 and (shown or waited):
+                if self._is_crooked(float(card[4])):
+                    self._back_off(float(card[4]))
                 else:
                     self._hand_over(slot)
         return self._hold(self._pace * wheels, rates)
+
+    def _is_aligned(self, error: FloatArray) -> bool:
+        """Return whether the card is at its stand-off, by its error (5,) as of `error`."""
+        across, turn = self.config.aligned
+        return bool(np.all(np.abs(error[:3]) < [across, across, turn]))
 
     def _is_crooked(self, yaw: float) -> bool:
         """Return whether guides would not take a card at an angle [rad], and it may be mended."""
@@ -317,12 +318,13 @@ class CardInserter:
         seats = config.seating is not None and self._backings < config.backings
         return seats and abs(yaw) > config.crooked
 
-    def _back_off(self, slot: FloatArray, yaw: float) -> None:
-        """Drive back, and then anew to where the card's angle out of the plane [rad] vanishes."""
-        # Which is on the slot's line, but for a robot that rolls: its arm does not point ahead.
-        (heading, beside), ahead = _line(slot), self._arm.mount[1]
-        self._aside = beside + ahead * math.sin(heading)
-        self._aside += (self.config.reach - ahead) * math.sin(yaw)
+    def _back_off(self, yaw: float) -> None:
+        """Drive back, and then anew to where the card's angle out of the plane [rad] vanishes.
+
+        Which is on the slot's line, but for a robot that rolls, whose arm does not point ahead, or
+        that comes to rest beside its place each time.
+        """
+        self._aside += (self.config.reach - self._arm.mount[1]) * math.sin(yaw)
         self._backing, self._backings, self._tare = True, self._backings + 1, []
         self._enter(InsertionStage.APPROACH)
 
@@ -332,18 +334,34 @@ class CardInserter:
         followed = self._both_seen or not self.config.watched
         return 1.0 if followed else self.config.following
 
-    def _steer_to(self, slot: FloatArray, gap: float) -> FloatArray:
-        """Return wheel speeds onto the slot's line, slower when near; backwards for less than 0."""
-        config, (heading, beside) = self.config, _line(slot)
-        beside -= self._aside
+    def _to_place(self, slot: FloatArray) -> tuple[float, float]:
+        """Return how far to the right and ahead the arm's base has to go to its place [m]."""
+        ahead = slot[:2, 1] / np.linalg.norm(slot[:2, 1])
+        right = np.array([ahead[1], -ahead[0]])
+        before = self.config.reach + self.config.stand_off - self._arm.mount[1]
+        x, y = slot[:2, 3] + self._aside * right - before * ahead - self._arm.mount[:2]
+        return float(x), float(y)
+
+    def _wheels_to(self, aside: float, gap: float) -> FloatArray:
+        """Return wheel speeds that lead the arm's base to its place, slower when near.
+
+        It is the base that has to be on the slot's line; the arm makes up for any heading. A robot
+        that would come onto the line itself turns there and back, by which it slides downhill.
+
+        Args:
+            aside: Distance of the place to the right [m].
+            gap: The same ahead [m]; for less than 0 it drives straight back.
+        """
+        config, lever = self.config, float(self._arm.mount[1])
         speed = min(max(config.slowing * gap, -config.speed), config.speed)
-        # Backwards a robot that has turned to the line moves away from it.
-        aside = math.copysign(beside, beside * speed) / (2.0 * config.look_ahead)
-        towards = min(max(aside, -config.aslant), config.aslant)
-        curve = 2.0 * (heading + towards) / config.look_ahead
+        # It points at its place. Turning uphill it slides by more than that brings, once it is
+        # near: it then leaves it.
+        slid = float(self._steer.sliding(1.0, self._odometry.tilt)[0])
+        brings = gap + lever + math.copysign(slid, aside * slid)
+        curve = -aside / (lever * brings) if gap > 0.0 and brings >= lever else 0.0
         # On the spot it would turn about its front axle, and slide aside.
         most = config.turn / config.speed
-        return self._steer.wheel_speeds(speed, min(max(curve, -most), most) * abs(speed))
+        return self._steer.wheel_speeds(speed, min(max(curve, -most), most) * speed)
 
     def _bring(self, slot: FloatArray, pose: FloatArray) -> FloatArray:
         """Move the commanded joints a step towards a pose (3,) of the card; return their rates."""
@@ -414,14 +432,3 @@ class CardInserter:
         elif guide.phase is Phase.FAILED:
             return self._fail(guide.reason, angles)
         return self._hold(rates=rates)
-
-
-def _line(slot: FloatArray) -> tuple[float, float]:
-    """Return where a slot's line is: its heading, to the left [rad], and how far left it is [m].
-
-    Args:
-        slot: (4, 4) from the slot to the robot.
-    """
-    x, y = slot[:2, 3]
-    heading = math.atan2(-slot[0, 1], slot[1, 1])
-    return heading, -x * math.cos(heading) - y * math.sin(heading)

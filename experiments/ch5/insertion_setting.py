@@ -25,7 +25,7 @@ from controllers.insertion.team import (
     seating_config,
     surrogate_sensing,
 )
-from controllers.mission.belief import TurnShare, drawn_turn_share
+from controllers.mission.belief import TurnShare, drawn_slide, drawn_turn_share
 from controllers.motion.base_tilt import BaseTilt, drawn_springs
 from controllers.motion.driving import SkidSteer
 from experiments.ch5.insertion_faults import Fault, FaultInjector
@@ -310,7 +310,9 @@ def prepare(trial: InsertionTrial) -> Setting:
             watched=trial.without != "cooperation",
         ),
         arm,
-        SkidSteer.of(slave, turns.share, turns.deviation),
+        dataclasses.replace(
+            SkidSteer.of(slave, turns.share, turns.deviation), slide=drawn_slide(slave)
+        ),
         *_mapped_slot(begun, SLAVE, known_to_slave, slave_error),
         BaseTilt(*springs, arm.mount) if trial.guides else None,
     )

@@ -15,10 +15,11 @@ from controllers.insertion.seating import SeatingConfig
 from controllers.mapping.localization import tilt_to_level
 from controllers.motion.base_tilt import BaseTilt, drawn_springs
 from models import datasheets
-from tests.controllers.insertion.kinematic import SLOT, Slave
+from tests.controllers.insertion.kinematic import SLOT, STEER, Slave
 from twin.describe import describe_rover
 from twin.robot import MISSING, ArmMode, Channel, Validity, WheelMode
 
+LEVER = datasheets.ROVER.arm_mount[1]  # Of the arm's base ahead of where the robot turns [m].
 NOTHING_SEEN = Guidance(0.0, False, False, None, np.zeros((6, 6)))
 
 
@@ -117,8 +118,9 @@ def test_a_slave_that_takes_no_views_goes_by_its_map_alone_and_is_off_by_what_th
     inserter = slave.inserter([0.0, 0.0, 0.0, aside, 0.0, 0.0], watched=False)
     slave.run(inserter, 20.0, until=lambda: inserter.stage is InsertionStage.INSERT, looks=looks)
     assert inserter.stage is InsertionStage.INSERT
-    assert slave.error()[0] == pytest.approx(aside, abs=1.5e-3)
-    assert slave.error()[1] == pytest.approx(-inserter.config.stand_off, abs=2e-3)
+    across, ahead, _, beside, _ = slave.error()
+    assert beside == pytest.approx(aside, abs=1e-3) and abs(across) < 1e-3
+    assert ahead == pytest.approx(-inserter.config.stand_off, abs=1e-3)
 
 
 @functools.cache
@@ -196,34 +198,60 @@ def approach(start, **changes):
     return np.array([place for place, _ in places]), [c for _, c in places], slave, inserter
 
 
+def base_of(place):
+    """Return (..., 2) where the base of the arm is of a robot at (..., 3) x, y and yaw."""
+    ahead = np.stack([-np.sin(place[..., 2]), np.cos(place[..., 2])], axis=-1)
+    return place[..., :2] + LEVER * ahead
+
+
 @pytest.mark.parametrize("start", [(0.05, -1.1, 0.0), (-0.03, -1.0, 0.15), (0.0, -1.0, -0.2)])
-def test_the_robot_steers_onto_the_slots_line_without_overshoot_and_slows_before_its_place(start):
-    # So far ahead that it never turns as fast as it may.
-    places, commands, _, inserter = approach(start, look_ahead=0.12)
+def test_the_robot_points_the_base_of_its_arm_at_its_place_and_slows_before_it(start):
+    places, commands, _, inserter = approach(start)
     config = inserter.config
-    # Steered by 2 / L of the heading and 1 / L^2 of what it is beside: critically damped.
+    goal = np.array([0.0, LEVER - config.reach - config.stand_off])
+    to_goal = goal - places[:, :2]
+    bearing = np.arctan2(-to_goal[:, 0], to_goal[:, 1]) - places[:, 2]
+    # Its rate by the distance driven is -bearing / lever, and bearing / what is left to drive.
     gone = np.concatenate(
         [[0.0], np.cumsum(np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1))]
     )
-    x, _, yaw = places[0]
-    expected = (x + (x / config.look_ahead - yaw) * gone) * np.exp(-gone / config.look_ahead)
-    np.testing.assert_allclose(places[:, 0], expected, atol=3e-3)
+    left = np.linalg.norm(to_goal[0])
+    expected = bearing[0] * np.exp(-gone / LEVER) * left / (left - gone)
+    np.testing.assert_allclose(bearing, expected, atol=0.015)
+    assert np.ptp(bearing) > 0.05
+    np.testing.assert_allclose(base_of(places[-1]), goal, atol=6.5e-3)
+    assert abs(base_of(places[-1])[0]) < 2e-3
     forward = np.array([inserter._steer.motion(command.wheels)[0] for command in commands])
-    gaps = -places[:, 1] / np.cos(places[:, 2]) - config.reach - config.stand_off
+    gaps = np.linalg.norm(goal - base_of(places), axis=1)
     wanted = np.clip(config.slowing * gaps, -config.speed, config.speed)
     np.testing.assert_allclose(forward[1:-1], wanted[1:-1], atol=3e-3)
     assert forward.max() == pytest.approx(config.speed) and forward[-2] < 0.2 * config.speed
 
 
-def test_a_robot_far_beside_the_slots_line_drives_onto_it_at_an_angle_and_never_turns_on_the_spot():
-    """Beside by more than its look-ahead it would drive across, and the master lose its card."""
+def test_a_robot_far_beside_the_slots_line_turns_no_farther_than_to_its_place_nor_on_the_spot():
     places, commands, _, inserter = approach((0.09, -1.1, 0.0))
     config = inserter.config
-    assert 0.8 * config.aslant < np.abs(places[:, 2]).max() < 1.05 * config.aslant
-    assert abs(places[-1, 0]) < 4e-3
+    assert abs(base_of(places[-1])[0]) < 2e-3
+    assert 0.8 < np.abs(places[:, 2]).max() / np.arctan2(0.09, 1.1 - config.reach) < 1.2
     motions = np.array([inserter._steer.motion(command.wheels) for command in commands])
     curves = np.abs(motions[:, 1]) - config.turn / config.speed * np.abs(motions[:, 0])
     assert curves.max() < 1e-9
+
+
+@pytest.mark.parametrize(("gap", "turns"), [(0.03, False), (0.3, True)])
+def test_a_robot_on_a_slope_turns_uphill_only_where_it_slides_by_less_than_that_brings(gap, turns):
+    """Near its place it would slide past it, and turn ever farther."""
+    slave, inserter = approaching()
+    inserter._steer = inserter._odometry._steer = dataclasses.replace(STEER, slide=0.7)
+    seen = slave.observe()
+    right_side_down = seen.inclinometer._replace(value=np.array([0.0, 0.15]))
+    for _ in range(300):
+        inserter._odometry.update(seen._replace(inclinometer=right_side_down), 0.01)
+    turn = {side: STEER.motion(inserter._wheels_to(side * 0.01, gap))[1] for side in (-1, 1)}
+    assert turn[1] < 0.0
+    assert turn[-1] > 0.0 if turns else turn[-1] == 0.0
+    # Downhill a smaller turn does.
+    assert abs(turn[1]) < 0.01 / (LEVER * (gap + LEVER)) * min(0.06, 0.8 * gap)
 
 
 def test_the_card_stays_where_the_arm_is_at_ease_until_the_robot_is_there():
@@ -331,14 +359,27 @@ def test_weight_at_the_hand_over_is_that_of_the_tilted_arm():
     assert np.abs(expected - slave.arm.weight(command.arm, [0.0, 0.0, 1.0])).max() > 0.5
 
 
-def test_robot_that_begins_too_near_turns_onto_the_line_as_it_backs():
+def test_robot_that_begins_too_near_backs_straight():
     _, commands, slave, inserter = approach((0.01, -0.35, 0.15))
     motions = np.array([inserter._steer.motion(command.wheels) for command in commands[1:-1]])
     assert motions[:, 0].min() == pytest.approx(-inserter.config.speed)
-    # Backwards too, it turns towards the slot's heading.
-    assert motions[0, 1] < 0.0 and abs(slave.place[2]) < 0.1
-    gap = -slave.place[1] - inserter.config.reach - inserter.config.stand_off
-    assert abs(gap) < 2 * inserter.config.near
+    assert np.abs(motions[:, 1]).max() < 1e-9
+    assert abs(slave.error()[1] + inserter.config.stand_off) < 0.03
+
+
+@pytest.mark.parametrize("known", [4e-3, 0.1])
+def test_a_card_that_the_master_does_not_see_is_inserted_only_by_an_estimate_good_enough(known):
+    """All the time it sees the slot, which alone tells nothing of the card."""
+    slave, inserter = approaching(known=known, patience=3.0)
+    for _ in range(2500):
+        slot_alone = Guidance(slave.time, False, True)
+        slave.drive(inserter.step(slave.observe(), [slot_alone]))
+        if inserter.over or inserter.stage is InsertionStage.INSERT:
+            break
+    if known > 0.01:
+        assert inserter.stage is InsertionStage.INSERT
+    else:
+        assert inserter.stage is InsertionStage.FAILED and inserter.reason == "target not seen"
 
 
 def test_arm_stays_where_it_is_measured_after_a_failure():
