@@ -78,3 +78,30 @@ class WallClock:
             self._ticks += late
             remaining += late * self.period
         self._sleep(remaining * self._slow_down)
+
+
+class PacedClock:
+    """A clock whose time passes no faster than that of another one.
+
+    Args:
+        clock: Clock of simulated or emulated robots, which ticks as fast as it can.
+        pace: Clock with the same period that waits; what is late is not made up for.
+    """
+
+    def __init__(self, clock: Clock, pace: WallClock) -> None:
+        self._clock, self._pace = clock, pace
+
+    @property
+    def period(self) -> float:
+        """Servo tick [s]."""
+        return self._clock.period
+
+    @property
+    def time(self) -> float:
+        """Time of the robots [s]."""
+        return self._clock.time
+
+    def tick(self) -> None:
+        """Advance the robots, and wait."""
+        self._clock.tick()
+        self._pace.tick()

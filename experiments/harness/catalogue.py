@@ -234,6 +234,11 @@ COMMANDS: dict[str, Command] = {
             "experiments.live.view",
         ),
         Command(
+            "drive",
+            "a person drives a rover and moves its arm, on a page that shows both its eyes",
+            "experiments.live.drive",
+        ),
+        Command(
             "doctor",
             "versions, renderer, and what is missing on this machine",
             "experiments.doctor.doctor",

@@ -7,15 +7,21 @@ from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
+import cv2
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 from websockets.sync.server import ServerConnection, serve
 
+from experiments.harness.contract import OptionError
+from perception.geometry.arrays import ImageArray
+
 HOST = "127.0.0.1"
 _POLICY = "default-src 'self' 'unsafe-inline' blob: data:; frame-ancestors 'none'"
 _REPLACED = 4000  # Code that closes a page for a newer one.
+_QUALITY = 80  # Of JPEGs.
 _Shown = tuple[str, bytes]
+_SHARED = {"page.css": "text/css", "page.js": "text/javascript"}  # What all pages use.
 
 
 class PageServer:
@@ -25,7 +31,7 @@ class PageServer:
     name another host, so that no site can reach this one under a name of its own.
 
     Args:
-        page: File of the page.
+        page: File of the page, which may use ``page.css`` and ``page.js`` of this folder.
         port: Port on loopback; 0 for a free one.
 
     Attributes:
@@ -33,20 +39,25 @@ class PageServer:
         watched: Whether a page is open.
 
     Raises:
-        OSError: If the port is taken.
+        OptionError: If the port is taken.
     """
 
     def __init__(self, page: Path, port: int = 0) -> None:
-        self._page = page.read_bytes()
+        self._files = {"/": (page.read_bytes(), "text/html")}
+        for name, kind in _SHARED.items():
+            self._files[f"/{name}"] = Path(__file__).with_name(name).read_bytes(), kind
         self._changed = threading.Condition()
         self._shown: _Shown | None = None
         self._connection: ServerConnection | None = None
         self._taken: list[Mapping[str, Any]] = []
         # The free port has to be known before what it serves can be told from other sites'.
         self._hosts: set[str] = set()
-        self._server = serve(
-            self._attend, HOST, port, process_request=self._answer, compression=None
-        )
+        try:
+            self._server = serve(
+                self._attend, HOST, port, process_request=self._answer, compression=None
+            )
+        except OSError as error:
+            raise OptionError(f"--port {port}: {error.strerror}") from error
         self.port: int = self._server.socket.getsockname()[1]
         self._hosts = {f"{name}:{self.port}" for name in (HOST, "localhost")}
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
@@ -97,18 +108,19 @@ class PageServer:
             return connection.respond(HTTPStatus.FORBIDDEN, "This page is for its host alone.\n")
         if request.path == "/stream" and origin:
             return None
-        if request.path != "/":
+        if request.path not in self._files:
             return connection.respond(HTTPStatus.NOT_FOUND, f"There is no {request.path} here.\n")
+        content, kind = self._files[request.path]
         headers = Headers(
             {
-                "Content-Type": "text/html; charset=utf-8",
-                "Content-Length": str(len(self._page)),
+                "Content-Type": f"{kind}; charset=utf-8",
+                "Content-Length": str(len(content)),
                 "Content-Security-Policy": f"{_POLICY}; connect-src ws://{host}",
                 "Cache-Control": "no-store",
                 "Connection": "close",
             }
         )
-        return Response(HTTPStatus.OK, "OK", headers, self._page)
+        return Response(HTTPStatus.OK, "OK", headers, content)
 
     def _attend(self, connection: ServerConnection) -> None:
         """Serve the stream of one page."""
@@ -156,3 +168,10 @@ class PageServer:
                 lambda: self._connection is not connection or self._shown is not sent
             )
             return self._shown if self._connection is connection else None
+
+
+def jpeg(image: ImageArray) -> bytes:
+    """Return a JPEG of grey levels (height, width), or (height, width, 3) red, green and blue."""
+    ordered = image if image.ndim == 2 else image[..., ::-1]  # noqa: PLR2004
+    _, coded = cv2.imencode(".jpg", ordered, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    return coded.tobytes()

@@ -4,16 +4,14 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import cv2
 import mujoco
 import numpy as np
 
+from experiments.live.page_server import jpeg
 from models.compose import WHEELS
-from perception.geometry.arrays import ImageArray
 
 _SIDES = np.array([-1.0 if "left" in wheel else 1.0 for wheel in WHEELS])
 _VOLTAGE = 6.0  # Of the motors of a rover that is driven [V].
-_QUALITY = 80  # Of JPEGs.
 _LATEST = 0.2  # Time within which a key that is held has to be told again [s].
 _ORBIT = 180.0  # Turn of the camera that a drag across the whole image brings [deg].
 
@@ -138,6 +136,7 @@ class TouchedScene:
             self.reset()
         elif key == "next" and self._robots:
             self._driven = (self._driven + 1) % len(self._robots)
+            self._follow()
 
     def _drive(self, now: float) -> None:
         """Set the voltages of the wheels; all rest that are not driven."""
@@ -154,9 +153,13 @@ class TouchedScene:
         """Look at the first rover, or at the middle of the scene."""
         mujoco.mjv_defaultFreeCamera(self._model, self._camera)
         if self._robots:
-            body = self._model.body(f"{self._robots[0]}/chassis").id
-            self._camera.type, self._camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, body
             self._camera.distance = 1.6
+            self._follow()
+
+    def _follow(self) -> None:
+        """Let the camera follow the rover that is driven."""
+        body = self._model.body(f"{self._robots[self._driven]}/chassis").id
+        self._camera.type, self._camera.trackbodyid = mujoco.mjtCamera.mjCAMERA_TRACKING, body
 
     def _grab(self, right: float, down: float) -> None:
         """Take hold of the body that an image point shows."""
@@ -186,11 +189,3 @@ class TouchedScene:
             self._camera.lookat = self._data.xpos[self._camera.trackbodyid]
             self._camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         mujoco.mjv_moveCamera(self._model, how, right, down, self._camera)
-
-
-def jpeg(*images: ImageArray) -> bytes:
-    """Return a JPEG of images of one height, red, green and blue, beside each other."""
-    _, coded = cv2.imencode(
-        ".jpg", np.hstack(images)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY]
-    )
-    return coded.tobytes()

@@ -12,7 +12,6 @@ from pathlib import Path
 import mujoco
 from rich.console import Console
 
-from experiments.harness.contract import OptionError
 from experiments.live.page_server import PageServer
 from experiments.live.subjects import model_of
 from experiments.live.touched_scene import TouchedScene
@@ -32,11 +31,9 @@ def run(options: Options) -> int:
         # Imported here because it loads what windows need.
         importlib.import_module("mujoco.viewer").launch(model, _at_home(model))
         return 0
-    try:
-        server = PageServer(PAGE, options.port)
-    except OSError as error:
-        raise OptionError(f"--port {options.port}: {error.strerror}") from error
-    Console().print(f"{options.subject}: open {server.url} in a browser; Ctrl+C ends it")
+    server = PageServer(PAGE, options.port)
+    where = f"{options.subject}: open {server.url} in a browser; Ctrl+C ends it"
+    Console().print(where, soft_wrap=True)
     try:
         serve(TouchedScene(model, _SIZE), server)
     except KeyboardInterrupt:

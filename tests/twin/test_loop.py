@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tests.twin.scene import SERVO, compile_scene
-from twin.clock import WallClock
+from twin.clock import PacedClock, WallClock
 from twin.loop import LoopRecorder, run
 from twin.robot import Command, Lifecycle, RobotError
 from twin.sensors import IDEAL
@@ -161,6 +161,17 @@ def test_wall_clock_misses_nothing_while_robots_are_set_up():
     fake.now += 2.503
     clock.tick()
     assert clock.time == pytest.approx(2.51) and clock.misses == 0
+
+
+def test_paced_clock_lets_each_tick_of_a_simulation_take_its_period(simulation):
+    fake = FakeTime()
+    clock = PacedClock(simulation, WallClock(0.01, 1.0, lambda: fake.now, fake.sleep))
+    begin, start = clock.time, fake.now
+    for work in (0.004, 0.035, 0.001):
+        fake.now += work
+        clock.tick()
+    assert clock.period == 0.01 and clock.time - begin == pytest.approx(0.03)
+    assert fake.now - start == pytest.approx(0.06)  # The second tick missed three deadlines.
 
 
 def test_wall_clock_really_waits():

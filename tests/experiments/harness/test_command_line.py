@@ -83,7 +83,7 @@ def test_without_name_experiments_are_listed_without_importing_them(capsys):
         (["tiny", "--scheduler", "tcp://x:1"], "--backend dask"),
         (["tiny", "--fault", "file"], "no such file"),
         (["tinny"], "did you mean tiny?"),
-        (["nothing-like-it"], "there are tiny, view, doctor, calibrate, report"),
+        (["nothing-like-it"], "there are tiny, view, drive, doctor, calibrate, report"),
         (["doctor", "--deep"], "--deep"),
     ],
 )

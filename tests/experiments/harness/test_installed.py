@@ -16,6 +16,12 @@ with connect("emulated") as connection:
     robot.activate()
     assert robot.observe().wheel_speeds.usable
 """
+_SERVED = """
+from experiments.live import drive, view
+from experiments.live.page_server import PageServer
+for page in (drive.PAGE, view.PAGE):
+    PageServer(page).close()
+"""
 PARTS = ("models", "twin", "perception", "controllers", "experiments")
 
 
@@ -71,7 +77,7 @@ def test_it_runs_from_an_empty_folder(installed, tmp_path):
     """A scene, boards in another process, an experiment and the report."""
     assert "all required is here" in run(installed, tmp_path, "doctor")
     python(installed, tmp_path, "-c", _OBSERVED)
-    python(installed, tmp_path, "-c", "from experiments.live.view import PAGE; PAGE.read_text()")
+    python(installed, tmp_path, "-c", _SERVED)
     run(installed, tmp_path, "appd-radio", "--quick")
     run(installed, tmp_path, "report")
     page = (tmp_path / "results/report.html").read_text(encoding="utf-8")

@@ -9,6 +9,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from experiments.harness.contract import OptionError
 from experiments.live.page_server import PageServer
 
 
@@ -50,6 +51,9 @@ def test_the_page_is_for_its_own_host_and_origin_alone(server):
     assert status(server, Host="elsewhere.example")[0] == 403
     assert status(server, Origin="http://elsewhere.example")[0] == 403
     assert status(server, path="/else")[0] == 404
+    shared = status(server, path="/page.js")
+    assert shared[0] == 200 and b"tellWhileHeld" in shared[1]
+    assert status(server, path="/page.js", Origin="http://elsewhere.example")[0] == 403
     for origin in ("http://elsewhere.example", None):
         with pytest.raises(InvalidStatus):
             streamed(server, origin=origin)
@@ -89,6 +93,11 @@ def test_a_page_that_is_opened_later_takes_over(server):
             second.recv(20.0)
             assert second.recv(20.0) == b"image"
             assert server.taken() == []  # The first one's end stops nothing.
+
+
+def test_a_port_that_is_taken_is_told_in_one_line(server, tmp_path):
+    with pytest.raises(OptionError, match=f"--port {server.port}: .*in use"):
+        PageServer(tmp_path / "page.html", server.port)
 
 
 def test_what_is_no_json_ends_the_page(server):

@@ -60,6 +60,7 @@ def test_a_held_key_drives_and_one_that_is_not_told_again_stops(rovers):
 def test_the_next_rover_is_driven_and_the_first_one_rests(rovers):
     rovers.take({"press": "next"}, 0.0)
     assert rovers.about["driven"] == "two"
+    assert rovers._camera.trackbodyid == rovers._model.body("two/chassis").id
     along = moved(rovers, 2.0, (1.0, 0.0))
     assert along[0] < -0.1  # Facing left of y is against x.
     rovers.take({"press": "next"}, 0.0)

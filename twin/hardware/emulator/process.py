@@ -56,8 +56,14 @@ class EmulatorProcess:
         if scene.stereo is not None:
             folder = self._frames.enter_context(tempfile.TemporaryDirectory(prefix="fieldtwin-"))
             command += ["--frames", folder]
+        # In a session of its own: Ctrl+C is for this process, which has yet to stop the robots.
         self._process = subprocess.Popen(  # noqa: S603
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            bufsize=1,
+            start_new_session=True,
         )
         try:
             started: Started = self._read()

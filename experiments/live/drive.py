@@ -1,0 +1,149 @@
+"""``fieldtwin drive``: a person drives a rover and moves its arm, on a page in the browser.
+
+The page shows what the rover observes, and nothing else of its scene.
+"""
+
+import contextlib
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+
+from controllers.motion.teleoperation import Teleoperation
+from experiments.harness.contract import OptionError
+from experiments.harness.robot_option import check_calibrations
+from experiments.live.drive_options import Options
+from experiments.live.page_server import PageServer, jpeg
+from models.compose import ROUGH
+from twin.camera import StereoConfig
+from twin.clock import PacedClock, WallClock
+from twin.connect import Connection, connect
+from twin.loop import LoopRecorder, Tick
+from twin.loop import run as run_loop
+from twin.recording.record import Recorder
+from twin.robot import Channel, Observation, Robot, RobotError
+from twin.sensors import CHANNELS
+
+PAGE = Path(__file__).with_name("drive.html")
+_FIELD = dataclasses.replace(ROUGH, shadows=False)  # They take half of an image's time.
+_PERIOD = 0.05  # Robot time between two states that are shown [s].
+_LONGEST = 1e6  # Robot time after which a drive ends [s].
+_UNITS: Mapping[str, str] = {
+    "wheel_speeds": "rad/s",
+    "centre_angle": "rad",
+    "arm_angles": "rad",
+    "arm_rates": "rad/s",
+    "inclinometer": "rad",
+    "arm_base_wrench": "N, N m",
+    "accelerometer": "m/s²",
+    "gyro": "rad/s",
+    "heading": "rad",
+}
+
+
+def run(options: Options) -> int:
+    """Let a person drive until Ctrl+C is pressed; return the exit status.
+
+    Raises:
+        OptionError: If the rover cannot be as fast, its calibration cannot be used, or the port is
+            taken.
+        RobotError: If the rover fails; it was stopped.
+    """
+    check_calibrations(options.robot)
+    with (
+        contextlib.closing(PageServer(PAGE, options.port)) as server,
+        connect(
+            options.robot,
+            field=_FIELD,
+            realism=options.realism or "ideal",
+            stereo=StereoConfig(),
+            seed=options.seed or 0,
+        ) as connection,
+    ):
+        where = f"open {server.url} in a browser to drive; Ctrl+C ends it"
+        Console().print(where, soft_wrap=True)
+        try:
+            drive(connection, server, options)
+        except KeyboardInterrupt as ended:
+            # What the loop adds to it says how far the stop is confirmed.
+            if notes := getattr(ended, "__notes__", []):
+                raise RobotError("; ".join(notes)) from None
+    return 0
+
+
+def drive(connection: Connection, server: PageServer, options: Options) -> None:
+    """Let a person drive the rover of a connection.
+
+    Args:
+        connection: Connection with one rover.
+        server: Server of its page.
+        options: Options of the drive.
+
+    Raises:
+        OptionError: If the rover cannot be as fast.
+        RobotError: If the rover fails; it was stopped.
+    """
+    (robot,) = connection.robots.values()
+    try:
+        hand = Teleoperation(robot.description, options.speed)
+    except ValueError as error:
+        raise OptionError(f"--speed: {error}") from None
+    simulated = connection.simulation is not None or connection.emulator is not None
+    clock = connection.clock
+    if simulated:
+        clock = PacedClock(clock, WallClock(clock.period))
+    recorders: list[LoopRecorder] = [DrivePage(server, robot, hand, options.speed)]
+    with contextlib.ExitStack() as stack:
+        if options.record is not None:
+            recorder = Recorder(options.record, connection.robots, connection.simulation)
+            recorders.append(stack.enter_context(recorder))
+        run_loop(connection.robots, [hand], clock, recorders, _LONGEST)
+
+
+class DrivePage(LoopRecorder):
+    """Shows on a page what a rover observes, and hands on what a person asks there.
+
+    Args:
+        server: Server of the page.
+        robot: The rover.
+        hand: Controller that the person drives with.
+        speed: Largest speed [m/s].
+    """
+
+    def __init__(self, server: PageServer, robot: Robot, hand: Teleoperation, speed: float) -> None:
+        self._server, self._name, self._hand = server, robot.name, hand
+        joints = list(robot.description.joint_names)
+        self._about = {"robot": robot.name, "speed": speed, "joints": joints}
+        self._next, self._pair, self._eyes = 0.0, float("nan"), b""
+
+    def record(self, tick: Tick) -> None:
+        """Take what the person asks, and show the robot now and then, if a page is open."""
+        for told in self._server.taken():
+            if "closed" in told:
+                self._hand.rest()
+            elif "drive" in told:
+                ahead, left = map(float, told["drive"])
+                self._hand.ask(ahead, left, told["arm"])
+        if tick.time >= self._next and self._server.watched:
+            self._next = tick.time + _PERIOD
+            self._show(tick.observations[self._name])
+
+    def _show(self, seen: Observation) -> None:
+        stereo = seen.stereo
+        if stereo.usable and stereo.stamp != self._pair:
+            # Drawn here, where it is read first: without a page nothing is.
+            self._pair, self._eyes = stereo.stamp, jpeg(np.hstack(list(stereo.value)))
+        sensors = [shown(name, getattr(seen, name)) for name in CHANNELS]
+        eyes = {"pair": self._pair if self._eyes else None, "eyes": stereo.validity.value}
+        about = {**self._about, "time": seen.time, **eyes, "sensors": sensors}
+        self._server.show(self._eyes, about)
+
+
+def shown(name: str, channel: Channel) -> Mapping[str, Any]:
+    """Return a channel as the page shows it: its values are none while it is missing."""
+    values = [round(float(value), 3) for value in channel.value]
+    state = channel.validity.value
+    return {"name": name, "unit": _UNITS[name], "values": values, "validity": state}

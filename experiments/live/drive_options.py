@@ -1,0 +1,65 @@
+"""Options of ``drive``."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from experiments.harness.contract import OptionError
+from experiments.harness.robot_option import check_robot
+from twin.hardware.wiring import wirings_of
+from twin.optics.realism import RealismName
+
+
+@dataclasses.dataclass(frozen=True)
+class Options:
+    """Options of a drive by hand.
+
+    Attributes:
+        robot: Which rover: sim, quantised, emulated, or serial:PORT[,NAME=VALUE...] for real
+            boards, as serial:/dev/ttyUSB0,analogue=/dev/ttyACM0,stereo=0:1,home=0:0.9:-1.4:0.1.
+        speed: Largest speed of the wheels along the ground [m/s]; the rover as drawn reaches 0.32.
+        record: Also write a recording for the rerun viewer, as drive.rrd; it must be new.
+        port: Port of the page on this machine; 0 for a free one.
+        realism: How far a simulated rover, its sensors and cameras are from their drawings: ideal,
+            default or harsh; images take longer with any but ideal (unless said, ideal).
+        seed: Seed of a simulated rover and its sensors' noise (unless said, 0).
+    """
+
+    robot: str = "sim"
+    speed: Annotated[float, tyro.conf.arg(metavar="M/S")] = 0.15
+    record: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    port: int = 0
+    realism: RealismName | None = None
+    seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+
+    def __post_init__(self) -> None:
+        """Refuse robots that cannot be driven, and what they have no use for.
+
+        Raises:
+            OptionError: Naming the option.
+        """
+        check_robot(self.robot)
+        wirings = wirings_of(self.robot)
+        if len(wirings) > 1:
+            raise OptionError(f"--robot: one rover is driven at a time, got {len(wirings)}")
+        for name in ("realism", "seed"):
+            if wirings and getattr(self, name) is not None:
+                raise OptionError(f"--{name}: real boards have none; leave it out")
+        if not self.speed > 0.0:
+            raise OptionError(f"--speed: expected above 0 m/s, got {self.speed}")
+        if self.seed is not None and self.seed < 0:
+            raise OptionError(f"--seed: expected 0 or more, got {self.seed}")
+        if not 0 <= self.port < 1 << 16:
+            raise OptionError(f"--port: expected 0 to 65535, got {self.port}")
+        if self.record is not None:
+            self._check_recording(self.record)
+
+    def _check_recording(self, path: Path) -> None:
+        if path.suffix != ".rrd":
+            raise OptionError(f"--record {path}: expected a name that ends with .rrd")
+        if path.exists():
+            raise OptionError(f"--record {path}: is there already; name another file")
+        if not path.parent.is_dir():
+            raise OptionError(f"--record {path}: there is no folder {path.parent}")
