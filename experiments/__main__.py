@@ -1,12 +1,13 @@
 """Command line: ``fieldtwin [NAME [options]]``, or ``python -m experiments [NAME [options]]``."""
 
-import contextlib
+import dataclasses
 import difflib
 import importlib.metadata
 import os
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
+from contextlib import closing, nullcontext
 
 # Off-screen rendering; must be set before mujoco is imported, also in workers.
 if sys.platform == "linux":
@@ -16,6 +17,7 @@ from experiments.harness import catalogue
 from experiments.harness.catalogue import Experiment
 from experiments.harness.command_line import BAD_OPTIONS, complain, parse, program
 from experiments.harness.contract import ExperimentError, OptionError, Options
+from experiments.harness.live_viewer import LiveViewer
 from experiments.harness.output import Output
 from experiments.harness.storage import disk_errors
 from experiments.harness.summary import print_summary
@@ -55,6 +57,7 @@ def main(
         options = parse(command.options_type(), name, command.summary, rest)
         if not isinstance(command, Experiment):
             return command.load()(options)
+        _check_recording(command, options, experiments)
         run_experiment(command, options, rest)
     except (OptionError, ExperimentError, LinkError, RobotError) as error:
         complain(error)
@@ -83,11 +86,19 @@ def run_experiment(experiment: Experiment, options: Options, arguments: Sequence
         Exception: What the experiment raised.
     """
     run = experiment.load()
+    if options.live:  # What is shown is the recording.
+        options = dataclasses.replace(options, record=True)
     output = Output(experiment.name, options, arguments)
-    with contextlib.closing(output), disk_errors(output.directory):
-        run(options, output)
-        output.finish()
-    print_summary(experiment, output)
+    shown = closing(LiveViewer(output.file("run.rrd"))) if options.live else nullcontext()
+    with shown as viewer:
+        with closing(output), disk_errors(output.directory):
+            run(options, output)
+            if viewer is not None:
+                viewer.finish()
+            output.finish()
+        print_summary(experiment, output)
+        if viewer is not None:
+            viewer.stay()
     if output.failure:
         raise ExperimentError(output.failure)
 
@@ -100,6 +111,16 @@ def print_list(experiments: Mapping[str, Experiment]) -> None:
     print(f"usage: {program()} NAME [options]   (NAME --help lists its options)\n")
     for name, text in lines:
         print(f"{name:{width}}  {text}")
+
+
+def _check_recording(
+    experiment: Experiment, options: Options, experiments: Mapping[str, Experiment]
+) -> None:
+    """Refuse to record what is not recorded."""
+    for name in ("record", "live"):
+        if getattr(options, name) and not experiment.records:
+            others = ", ".join(each.name for each in experiments.values() if each.records)
+            raise OptionError(f"--{name}: {experiment.name} has no recording; these have: {others}")
 
 
 def _unknown(name: str, names: Sequence[str]) -> str:

@@ -7,6 +7,7 @@
 - `sweep`: one function over many configurations, in parallel and resumable.
 - `intervals`: medians and fractions with their 95 % intervals.
 - `recording`: recordings for the rerun viewer, and moving pictures.
+- `live_viewer`: a recording shown while it is written; `viewer_page`: the page of that.
 - `timing`: processor time of a function.
 - `provenance`: versions, commit and processor of a run.
 - `summary`: the result of a run on the terminal.

@@ -47,9 +47,11 @@ class Experiment(Command):
 
     Attributes:
         thesis: The thesis element that it reproduces, for instance "Table 2-1, figures 2-4, 2-5".
+        records: Whether it writes a recording for the rerun viewer with ``--record``.
     """
 
     thesis: str
+    records: bool = dataclasses.field(default=False, kw_only=True)
 
 
 _ALL: tuple[Experiment, ...] = (
@@ -58,24 +60,28 @@ _ALL: tuple[Experiment, ...] = (
         summary="the simplified rover identifies itself by swinging its arm",
         thesis="Table 2-1, figures 2-4 to 2-7",
         module="experiments.ch2.simulation.simulation",
+        records=True,
     ),
     Experiment(
         name="ch2-rover",
         summary="the complete rover identifies how it pitches, by inclinometer and arm wrench",
         thesis="Table 2-2, figures 2-9 to 2-12",
         module="experiments.ch2.rover.rover",
+        records=True,
     ),
     Experiment(
         name="ch2-payload",
         summary="an unknown payload is identified by swinging the arm that holds it",
         thesis="section 6.2 (c), suggested only",
         module="experiments.ch2.payload",
+        records=True,
     ),
     Experiment(
         name="ch2-friction",
         summary="the arm's jerks show the friction under the wheels and when they slip",
         thesis="section 6.2 (b), suggested only",
         module="experiments.ch2.friction",
+        records=True,
     ),
     Experiment(
         name="ch2-diagnosis",
@@ -88,54 +94,63 @@ _ALL: tuple[Experiment, ...] = (
         summary="planar worlds are mapped, each next view chosen by any of seven methods",
         thesis="figures 3-6, 3-8, 3-12 to 3-21",
         module="experiments.ch3.planar.planar",
+        records=True,
     ),
     Experiment(
         name="ch3-stereo",
         summary="two rovers map a cluttered field with stereo heads on their arms",
         thesis="figures 3-22 to 3-27, section 6.2 (a)",
         module="experiments.ch3.stereo.stereo",
+        records=True,
     ),
     Experiment(
         name="ch3-swarm",
         summary="one to fifty robots map an indoor world together",
         thesis="section 6.2 (d), suggested only",
         module="experiments.ch3.planar.swarm",
+        records=True,
     ),
     Experiment(
         name="ch4-planar",
         summary="cameras are placed on the plane, and watch a panel on its way to the target",
         thesis="figures 4-6, 4-8, 4-10, 4-11",
         module="experiments.ch4.planar.planar",
+        records=True,
     ),
     Experiment(
         name="ch4-montecarlo",
         summary="a camera guides an object to its goal among obstacles, placed by three methods",
         thesis="Table 4-1",
         module="experiments.ch4.montecarlo.montecarlo",
+        records=True,
     ),
     Experiment(
         name="ch4-stereo",
         summary="a camera is placed among blocks in space, and what it sees is rendered",
         thesis="figures 4-12, 4-13",
         module="experiments.ch4.spatial.stereo",
+        records=True,
     ),
     Experiment(
         name="ch5-insertion",
         summary="two rovers insert a card: the master watches, the slave brings it",
         thesis="chapter 5, Table 5-1, figures 5-11 to 5-14",
         module="experiments.ch5.insertion",
+        records=True,
     ),
     Experiment(
         name="ch5-contact",
         summary="a card is inserted by what the hand feels, and contact states are classified",
         thesis="figures A-5 to A-7, section 5.4 (forces)",
         module="experiments.ch5.contact.contact",
+        records=True,
     ),
     Experiment(
         name="mission",
         summary="two rovers dropped in a field find their site, map it and insert a card",
         thesis="figure 1-5, chapters 2 to 5 together",
         module="experiments.mission.mission",
+        records=True,
     ),
     Experiment(
         name="mission-envelope",
@@ -184,6 +199,7 @@ _ALL: tuple[Experiment, ...] = (
         summary="the thesis' radio handshake beside a link in frames, under byte errors",
         thesis="appendix D, inter-robot communication",
         module="experiments.appd.radio.radio",
+        records=True,
     ),
     Experiment(
         name="appe-workspace",
@@ -202,12 +218,14 @@ _ALL: tuple[Experiment, ...] = (
         summary="BRAID in physics: settled states, detents, sag, and words by its muscle wires",
         thesis="figures E-1, E-2, E-9",
         module="experiments.appe.mechanism.mechanism",
+        records=True,
     ),
     Experiment(
         name="appe-placement",
         summary="a camera placement that BRAID takes on a rover, seen by what is rendered then",
         thesis="appendix E with chapter 4, suggested only",
         module="experiments.appe.placement.placement",
+        records=True,
     ),
     Experiment(
         name="appe-bus",

@@ -27,6 +27,8 @@ class Options:
         seed: Root of all randomness; the same seed gives the same run.
         out: Folder of results; this experiment writes to OUT/NAME/.
         record: Also write a recording for the rerun viewer, OUT/NAME/run.rrd.
+        live: As --record, and show the recording in the rerun viewer as it grows: in a window, or
+            without a display on a page of this machine until Ctrl+C.
         resume: Keep the finished jobs of an interrupted sweep; the code must be the same.
         backend: Workers of a sweep: local processes (loky) or a Dask cluster (dask).
         scheduler: Address of the Dask scheduler, for instance tcp://10.0.0.1:8786.
@@ -38,6 +40,7 @@ class Options:
     seed: int = 0
     out: Path = Path("results")
     record: bool = False
+    live: bool = False
     resume: bool = False
     backend: Literal["loky", "dask"] = "loky"
     scheduler: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None

@@ -4,14 +4,13 @@ MuJoCo's own web viewer listens on all interfaces and cannot be told otherwise, 
 """
 
 import importlib
-import os
-import sys
 import time
 from pathlib import Path
 
 import mujoco
 from rich.console import Console
 
+from experiments.harness.live_viewer import has_display
 from experiments.live.page_server import PageServer
 from experiments.live.subjects import model_of
 from experiments.live.touched_scene import TouchedScene
@@ -41,13 +40,6 @@ def run(options: Options) -> int:
     finally:
         server.close()
     return 0
-
-
-def has_display() -> bool:
-    """Return whether windows can be shown."""
-    if sys.platform in ("darwin", "win32"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def serve(scene: TouchedScene, server: PageServer) -> None:

@@ -26,8 +26,8 @@ class Browser:
         events: (method, parameters) of each report, as in Chromium's DevTools protocol.
     """
 
-    def __init__(self, folder):
-        """Start; ``folder`` is for the profile."""
+    def __init__(self, folder, flags=()):
+        """Start; ``folder`` is for the profile, ``flags`` come behind `FLAGS`."""
         self.events = []
         self._ids = itertools.count(1)
         self._rest = b""
@@ -37,7 +37,7 @@ class Browser:
         # Chromium reads file 3 and writes file 4.
         line = f'exec "$0" "$@" 3<&{read_there} 4>&{write_there}'
         self._process = subprocess.Popen(
-            ["bash", "-c", line, PATH, *FLAGS, f"--user-data-dir={folder}", "about:blank"],
+            ["bash", "-c", line, PATH, *FLAGS, *flags, f"--user-data-dir={folder}", "about:blank"],
             pass_fds=(read_there, write_there),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

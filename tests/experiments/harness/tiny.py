@@ -1,6 +1,7 @@
 """A tiny experiment, given to the command line by the tests; `python -m` runs it."""
 
 import dataclasses
+import importlib
 import os
 import sys
 import time
@@ -76,7 +77,17 @@ def run(options, output):
     output.figure("figure_2-4", figure)
     output.table("table_2-1", ["mass [kg]", "error [%]"], [[1.0, 2], [options.mass, 3]])
     output.file(f"only_of_seed_{options.seed}.txt").write_text("x")
-    output.file("run.rrd").write_bytes(b"recording" if options.record else b"")
+    if options.record:
+        _record(output.file("run.rrd"))
+
+
+def _record(path):
+    """Record two words; imported here because it takes a second."""
+    recorder = importlib.import_module("twin.recording.record").Recorder(path)
+    with recorder:
+        for word in ("first", "last"):
+            recorder.log_text("words", word)
+            recorder.flush()
 
 
 def _swept(options, output):
@@ -93,7 +104,14 @@ CATALOGUE = {
         summary="a tiny experiment",
         thesis="Table 0",
         module="tests.experiments.harness.tiny",
-    )
+        records=True,
+    ),
+    "silent": Experiment(
+        name="silent",
+        summary="one without a recording",
+        thesis="Table 0",
+        module="tests.experiments.harness.tiny",
+    ),
 }
 
 if __name__ == "__main__":
