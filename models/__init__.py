@@ -14,4 +14,6 @@
 - `truss`: two rovers with a truss segment (thesis appendix A).
 - `braid`: the binary mechanism (thesis appendix E).
 - `render_pictures`: the pictures of the models' README files.
+- `write_scenes`: the MJCF files of what is built in Python. Each model's `scene.xml` opens in any
+  MuJoCo viewer.
 """

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from models.braid.build import BraidConfig, build_rover
-from models.card_and_slot.build import compile_bench
-from models.card_and_slot.guides import compile_guides_bench
+from models.card_and_slot.build import build_bench
+from models.card_and_slot.guides import build_guides_bench
 from models.compliant_base.build import XML as PLANT
 from models.compose import FLAT, FOLDER, ROUGH, RobotPlacement, make_model, settle
 from models.datasheets import CAMERA, CARD_AND_SLOT, CARD_GUIDE, DEGREE, MUSCLE_WIRE
@@ -100,11 +100,11 @@ def main() -> None:
     plant_raised = mujoco.MjData(plant)
     plant_raised.qpos[6] = np.pi / 4
     mujoco.mj_forward(plant, plant_raised)
-    bench = compile_bench(CARD_AND_SLOT.slot_widths[1])
+    bench = build_bench(CARD_AND_SLOT.slot_widths[1]).compile()
     askew = mujoco.MjData(bench)
     askew.qpos[:6] = (0.004, -0.02, 0.0, 0.0, 0.0, -6 * DEGREE)
     mujoco.mj_forward(bench, askew)
-    guides = compile_guides_bench(CARD_GUIDE.clearances[1])
+    guides = build_guides_bench(CARD_GUIDE.clearances[1]).compile()
     before = mujoco.MjData(guides)
     before.qpos[:2] = (0.0, -0.03)
     mujoco.mj_forward(guides, before)

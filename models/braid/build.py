@@ -93,7 +93,7 @@ def build_bench(config: BraidConfig, gravity: bool = True) -> mujoco.MjSpec:
         gravity: Whether there is gravity.
     """
     scene = load_part("field")
-    scene.modelname = "braid_bench"
+    scene.modelname, scene.default.name = "braid_bench", "main"
     for geom in list(scene.geoms):
         scene.delete(geom)
     scene.worldbody.add_geom(

@@ -93,8 +93,8 @@ def add_slot(
     return body
 
 
-def compile_bench(width: float, friction: float = CARD_AND_SLOT.friction) -> mujoco.MjModel:
-    """Compile the slot at the origin and the card on a compliant hand.
+def build_bench(width: float, friction: float = CARD_AND_SLOT.friction) -> mujoco.MjSpec:
+    """Return the slot at the origin and the card on a compliant hand.
 
     The body ``hand`` has three slides and three hinges with `datasheets.HAND`'s springs, whose rest
     (``qpos_spring``) is where the hand is commanded: a moved carrier, as a mocap body would be, has
@@ -108,7 +108,7 @@ def compile_bench(width: float, friction: float = CARD_AND_SLOT.friction) -> muj
         friction: Coefficient of friction between card and slot.
 
     Returns:
-        A compiled model at 1 ms.
+        A scene at 1 ms.
 
     Raises:
         ValueError: If the width is not a positive length or the friction is negative.
@@ -116,7 +116,8 @@ def compile_bench(width: float, friction: float = CARD_AND_SLOT.friction) -> muj
     spec = bench_scene()
     add_slot(spec, spec.worldbody, width)
     add_card(spec, spec.body("hand"))
-    return compiled(spec, friction)
+    complete_bench(spec, friction)
+    return spec
 
 
 def bench_scene() -> mujoco.MjSpec:
@@ -142,8 +143,8 @@ def bench_scene() -> mujoco.MjSpec:
     return spec
 
 
-def compiled(bench: mujoco.MjSpec, friction: float) -> mujoco.MjModel:
-    """Compile a bench with card and slot, and sensors of what the hand puts on the card.
+def complete_bench(bench: mujoco.MjSpec, friction: float) -> None:
+    """Give card and slot their friction, and add sensors of what the hand puts on the card.
 
     Args:
         bench: Scene with hand, card and slot.
@@ -163,13 +164,13 @@ def compiled(bench: mujoco.MjSpec, friction: float) -> mujoco.MjModel:
         bench.add_sensor(
             name=name, type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="card_wrench"
         )
-    return bench.compile()
 
 
 def _add_hand(parent: mujoco.MjsBody) -> mujoco.MjsBody:
     """Add the body ``hand`` on the springs of its six degrees of freedom."""
     # MuJoCo must have an inertia; the joints' armature, that of rotors, is a hundred times this.
-    hand = parent.add_body(name="hand", mass=HAND.mass, inertia=[1e-4] * 3)
+    # `to_xml` leaves out an inertia whose place is not given.
+    hand = parent.add_body(name="hand", mass=HAND.mass, inertia=[1e-4] * 3, ipos=[0.0] * 3)
     hand.explicitinertial = True
     for kind, turn in ((_SLIDE, False), (_HINGE, True)):
         for axis, letter in enumerate("xyz"):

@@ -17,7 +17,7 @@ from models.card_and_slot.build import (
     add_card,
     add_marker,
     bench_scene,
-    compiled,
+    complete_bench,
 )
 from models.datasheets import CARD_AND_SLOT, CARD_GUIDE
 
@@ -110,19 +110,17 @@ def give_way(card: mujoco.MjsBody, prefix: str = "") -> None:
         joint.damping = [0.02 * stiffness, 0, 0]
 
 
-def compile_guides_bench(
-    clearance: float, friction: float = CARD_AND_SLOT.friction
-) -> mujoco.MjModel:
-    """Compile the guides at the origin, and the card in a gripper on a compliant hand.
+def build_guides_bench(clearance: float, friction: float = CARD_AND_SLOT.friction) -> mujoco.MjSpec:
+    """Return the guides at the origin, and the card in a gripper on a compliant hand.
 
-    As `build.compile_bench`, but that the card gives way in its gripper.
+    As `build.build_bench`, but that the card gives way in its gripper.
 
     Args:
         clearance: Distance between each of the card's edges and the groove [m].
         friction: Coefficient of friction between card and slot.
 
     Returns:
-        A compiled model at 1 ms.
+        A scene at 1 ms.
 
     Raises:
         ValueError: If the clearance or the friction is out of range.
@@ -130,7 +128,8 @@ def compile_guides_bench(
     spec = bench_scene()
     add_guides(spec, spec.worldbody, clearance)
     give_way(add_card(spec, spec.body("hand")))
-    return compiled(spec, friction)
+    complete_bench(spec, friction)
+    return spec
 
 
 def _add_guide(body: mujoco.MjsBody, name: str, side: float, clearance: float) -> None:

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from controllers.insertion.contact import STATES, CardInSlot, Touch, turn
-from models.card_and_slot.build import compile_bench
+from models.card_and_slot.build import build_bench
 from models.datasheets import CARD_AND_SLOT
 from perception.geometry.arrays import FloatArray
 from twin.describe import describe_rover
@@ -161,7 +161,7 @@ class Bench(HandBench):
     """
 
     def __init__(self, width: float, hand: HandAsMade | None = None) -> None:
-        super().__init__(compile_bench(width), hand)
+        super().__init__(build_bench(width).compile(), hand)
         self.width = width
 
     def place(self, pose: FloatArray, command: FloatArray | None = None) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from controllers.insertion.guide import GuideConfig, Phase
 from controllers.insertion.seating import SeatingConfig, SeatingGuide
 from experiments.ch5.contact.bench import HandAsMade, HandBench
-from models.card_and_slot.guides import compile_guides_bench
+from models.card_and_slot.guides import build_guides_bench
 from models.datasheets import CARD_AND_SLOT, CARD_GUIDE, DEGREE, FORCE_TORQUE, HAND
 from perception.geometry.arrays import FloatArray
 from twin.optics.realism import RealismName
@@ -226,7 +226,7 @@ def run_seating(job: SeatingJob) -> SeatingResult:
 
 def _bench(job: SeatingJob) -> HandBench:
     """Return the bench of a job, whose hand does not depend on what is done with it."""
-    model = compile_guides_bench(job.clearance, job.friction)
+    model = build_guides_bench(job.clearance, job.friction).compile()
     if job.fine:
         model.opt.timestep /= 2.0
         model.geom_solref[:, 0] /= 2.0

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 from scipy import spatial
 
-from models.card_and_slot.build import PAINT, compile_bench
+from models.card_and_slot.build import PAINT, build_bench
 from models.datasheets import CARD_AND_SLOT, HAND, INCH, TABLE_2_2_TRUTH
 
 
 @pytest.fixture(scope="module")
 def bench() -> mujoco.MjModel:
-    return compile_bench(CARD_AND_SLOT.slot_widths[1])
+    return build_bench(CARD_AND_SLOT.slot_widths[1]).compile()
 
 
 def test_widths_are_those_of_the_thesis_and_leave_18_6_and_3_percent():
@@ -23,7 +23,7 @@ def test_widths_are_those_of_the_thesis_and_leave_18_6_and_3_percent():
 
 @pytest.mark.parametrize("width", [*CARD_AND_SLOT.slot_widths, 4.2 * INCH])
 def test_distance_of_the_walls_is_the_slot_width(width):
-    model = compile_bench(width)
+    model = build_bench(width).compile()
     for name, side in (("left", -1.0), ("right", 1.0)):
         wall = model.geom(f"slot_{name}")
         assert wall.pos[0] - side * wall.size[0] == pytest.approx(side * width / 2.0)
@@ -74,7 +74,7 @@ def test_stiffness_of_the_hand_is_the_rovers_in_pitch_at_the_reach():
 
 
 def test_bench_shaken_against_the_slot_for_a_second_gives_no_warning():
-    shaken = compile_bench(CARD_AND_SLOT.slot_widths[1])
+    shaken = build_bench(CARD_AND_SLOT.slot_widths[1]).compile()
     data = mujoco.MjData(shaken)
     rng = np.random.default_rng(0)
     for _ in range(100):
@@ -87,9 +87,9 @@ def test_bench_shaken_against_the_slot_for_a_second_gives_no_warning():
 @pytest.mark.parametrize("width", [0.0, -0.1, float("nan"), float("inf")])
 def test_slots_without_a_width_are_refused(width):
     with pytest.raises(ValueError, match="slot width"):
-        compile_bench(width)
+        build_bench(width)
 
 
 def test_negative_friction_is_refused():
     with pytest.raises(ValueError, match="friction -1"):
-        compile_bench(0.12, -1.0)
+        build_bench(0.12, -1.0)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from models.card_and_slot.guides import compile_guides_bench, width_of
+from models.card_and_slot.guides import build_guides_bench, width_of
 from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import CARD_AND_SLOT, CARD_GUIDE
 
@@ -41,7 +41,7 @@ def snap_force(friction):
 
 @pytest.mark.parametrize("friction", [0.0, 0.1, 0.3, 0.5])
 def test_the_card_snaps_in_at_the_force_of_the_springs_and_their_slopes(friction):
-    forces, places = insert(compile_guides_bench(MEDIUM, friction), speed=0.002, begin=0.03)
+    forces, places = insert(build_guides_bench(MEDIUM, friction).compile(), speed=0.002, begin=0.03)
     before = places[:, 1] < CARD_GUIDE.depth - 1.5e-3
     assert -forces[before, 1].min() == pytest.approx(snap_force(friction), rel=0.08)
     # Then it slides between them, when the hand has come to rest, and the bottom stops it.
@@ -61,7 +61,7 @@ def test_the_snap_as_drawn_is_3_newtons():
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_groove_leaves_its_clearances(clearance, side):
     """A pushed card stops at the groove's walls, across and along the normal."""
-    model = compile_guides_bench(clearance, 0.0)
+    model = build_guides_bench(clearance, 0.0).compile()
     data = mujoco.MjData(model)
     data.qpos[1] = model.qpos_spring[1] = 0.03
     model.qpos_spring[[0, 2]] = side * 5e-3
@@ -83,12 +83,12 @@ def test_a_groove_leaves_its_clearances(clearance, side):
     ],
 )
 def test_the_mouth_leads_in_what_lies_within_it(wrong, enters):
-    _, places = insert(compile_guides_bench(MEDIUM), wrong, speed=0.01)
+    _, places = insert(build_guides_bench(MEDIUM).compile(), wrong, speed=0.01)
     assert (places[:, 1].max() > 0.03) == enters
 
 
 def test_the_gripper_gives_way_in_roll_and_along_the_normal_by_its_springs():
-    model = compile_guides_bench(MEDIUM)
+    model = build_guides_bench(MEDIUM).compile()
     data = mujoco.MjData(model)
     data.qpos[1] = model.qpos_spring[1] = -0.1
     load = {"card_normal": 1.5, "card_roll": 0.03}
@@ -102,7 +102,7 @@ def test_the_gripper_gives_way_in_roll_and_along_the_normal_by_its_springs():
 @pytest.mark.parametrize("name", ["card_slip", "card_normal", "card_roll"])
 def test_a_rover_s_gripper_gives_way_as_that_of_the_bench(name):
     """An arm's body has defaults for the joints of its children."""
-    bench = compile_guides_bench(MEDIUM)
+    bench = build_guides_bench(MEDIUM).compile()
     field = FieldConfig(texture_pixels=16, slot_width=width_of(MEDIUM), card_guides=True)
     rover = make_model(field, [RobotPlacement("rover2", (0.0, -1.5), card=True)])
     one, other = bench.joint(name), rover.joint(f"rover2/{name}")
@@ -113,7 +113,7 @@ def test_a_rover_s_gripper_gives_way_as_that_of_the_bench(name):
 
 @pytest.mark.parametrize(("push", "slips"), [(0.9, False), (1.1, True)])
 def test_the_card_slips_in_the_gripper_beyond_its_grip_and_not_before(push, slips):
-    model = compile_guides_bench(MEDIUM)
+    model = build_guides_bench(MEDIUM).compile()
     data = mujoco.MjData(model)
     data.qpos[1] = model.qpos_spring[1] = -0.1
     data.qfrc_applied[model.joint("card_slip").dofadr[0]] = -push * CARD_GUIDE.grip
@@ -125,4 +125,4 @@ def test_the_card_slips_in_the_gripper_beyond_its_grip_and_not_before(push, slip
 @pytest.mark.parametrize("clearance", [0.0, -1e-3, math.nan, 3e-3])
 def test_guides_that_would_not_hold_a_card_are_refused(clearance):
     with pytest.raises(ValueError, match="clearance"):
-        compile_guides_bench(clearance)
+        build_guides_bench(clearance)
