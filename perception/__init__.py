@@ -9,3 +9,8 @@
 - `markers`: disc markers of card and slot, and their bodies' poses (sections 5.1 to 5.3).
 - `compression`: lossless compression, and the information that an image holds (appendix C).
 """
+
+from perception.geometry.kernel_cache import ensure_kernel_cache
+
+# Before any kernel is declared: every module with kernels imports something of this package.
+ensure_kernel_cache()
