@@ -286,8 +286,8 @@ def shadow_reach(model: mujoco.MjModel, data: mujoco.MjData) -> FloatArray | Non
         data: State of the scene.
 
     Returns:
-        (lights, geoms, 3) [m], world; None where shadows may reach anywhere: by lamps and low suns,
-        and over ground that is not level.
+        (lights, geoms, 3) [m], world; None where shadows may reach anywhere, as by lamps and low
+        suns, and over ground that is not level.
     """
     casting = np.flatnonzero(model.light_castshadow & model.light_active)
     towards = np.asarray(data.light_xdir[casting], dtype=float)

@@ -16,7 +16,9 @@ Mechanics, all in the body frame at the rover's centre of gravity:
    the front, so its two wheels share evenly and the front ones take the rest.
 3. Wheels that do not slide can hold any friction forces with |f_i| <= mu N_i that balance F and Mz.
    By the limit theorems of plasticity the smallest mu for which there are such forces is
+
        u = max over motions (v, w) of (F . v + Mz w) / sum_i N_i |v + w x r_i|.
+
    So u is the friction that is being used: u <= mu always, and u = mu while all wheels slide,
    whatever the share of force and moment.
 

@@ -316,7 +316,8 @@ class PitchFit:
             iterations: Most Gauss-Newton iterations from each start.
 
         Yields:
-            Nothing, after each iteration: the whole takes longer than a robot waits for a command.
+            Nothing, after each iteration, since the whole takes longer than a robot waits for a
+            command.
         """
         likelihood, starts = self._likelihood(data), [self.estimate.coordinates]
         for inertia, stiffness in itertools.product(*[_FACTORS] * 2):

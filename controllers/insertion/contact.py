@@ -116,7 +116,8 @@ def contact_at(shape: CardInSlot, pose: FloatArray, touch: Touch, side: int) -> 
         side: Side of the mouth corner or of the card's corner, -1 left and 1 right.
 
     Returns:
-        The contact (Thesis figure A-6: normals at theta for EDGE and SIDE, the slot's otherwise).
+        The contact, with normals at theta for EDGE and SIDE, the slot's otherwise (Thesis figure
+        A-6).
     """
     rotation = turn(pose[2])
     half_card, half_slot = shape.card_width / 2.0, shape.slot_width / 2.0

@@ -303,9 +303,9 @@ def expected_information(
         cells: (n, 2) rows and columns of the views.
 
     Returns:
-        All (n, headings): NI in the configured reading; NI in the reading "entropy", 0 where all is
-        decided; and the mean isolation weight of the undecided ground in view, the same for every
-        reading.
+        Three arrays (n, headings), which are NI in the configured reading; NI in the reading
+        "entropy", 0 where all is decided; and the mean isolation weight of the undecided ground
+        in view, the same for every reading.
     """
     sensor = config.sensor
     worth = undecided_entropy(situation.probability, situation.known)

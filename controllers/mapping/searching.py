@@ -128,7 +128,7 @@ def likeliest_target(
         config: Configuration of the search.
 
     Returns:
-        Middle, camera frame [m], and weight: 1 for each marker in both images; 0 without any.
+        Middle, camera frame [m], and weight, 1 for each marker in both images and 0 without any.
     """
     points = np.concatenate([hints.paired, hints.alone])
     if not len(points):

@@ -368,7 +368,7 @@ class VoxelMap:
         """Return the states of all voxels as `view_counts` reads them, kept until the next scan.
 
         Returns:
-            (bx, by, bz) what is in each brick: -1 - s where all voxels are in the state s, and
+            (bx, by, bz) what is in each brick, -1 - s where all voxels are in the state s and
             elsewhere a number n; and (count, 64) for those the states of voxels 8 along z, two
             bits each.
         """
