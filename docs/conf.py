@@ -4,6 +4,7 @@ The source folder is the repository itself, so that each page is read where it l
 lead to the same places here and in the checkout.
 """
 
+import ast
 import inspect
 import os
 import re
@@ -59,6 +60,7 @@ extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 4
 default_role = "py:obj"
+toc_object_entries = False
 
 autodoc_member_order = "bysource"
 python_maximum_signature_line_length = 90
@@ -106,7 +108,7 @@ def write_reference(app: Any) -> None:
 _SECTION = re.compile(r"^Attributes:\n((?:(?: {4}.*)?\n)+)", re.MULTILINE)
 _ENTRY = re.compile(r"^ {4}(\w+): (.*\n(?:(?: {5}.*)?\n)*)", re.MULTILINE)
 _described: dict[str, list[str]] = {}
-"""What the docstrings of classes say of their attributes, by full names."""
+"""What is said of attributes and constants, by their full names."""
 
 
 def move_attributes(
@@ -155,6 +157,32 @@ def resolve_exactly(app: Any, document: nodes.document) -> None:
             del reference["refspecific"]
 
 
+def list_constants(app: Any) -> None:
+    """Let autodoc list constants without a docstring, which it takes for imported ones.
+
+    What is said of one is the comment on its line.
+    """
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            dotted = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            analyzer = ModuleAnalyzer.for_module(dotted.removesuffix(".__init__"))
+            analyzer.analyze()
+            lines = path.read_text().splitlines()
+            for statement in ast.parse("\n".join(lines)).body:
+                comment = re.findall(r"  # (.*)$", lines[statement.lineno - 1])
+                for name in _assigned(statement):
+                    if not name.startswith("_"):
+                        own = analyzer.attr_docs.setdefault(("", name), comment)
+                        _described[f"{analyzer.modname}.{name}"] = own
+
+
+def _assigned(statement: ast.stmt) -> list[str]:
+    """Return the names that a statement of a module assigns to."""
+    targets = getattr(statement, "targets", [getattr(statement, "target", None)])
+    found = [each for target in targets if target for each in ast.walk(target)]
+    return [each.id for each in found if isinstance(each, ast.Name)]
+
+
 def add_contents(app: Any, page: str, source: list[str]) -> None:
     """Put the table of contents behind the README, which is the first page."""
     if page == root_doc:
@@ -186,6 +214,7 @@ def setup(app: Any) -> None:
     """Register all of the above."""
     app.add_html_math_renderer("mathml", (_visit_math, None), (_visit_displayed_math, None))
     app.connect("builder-inited", write_reference)
+    app.connect("builder-inited", list_constants)
     app.connect("source-read", add_contents)
     app.connect("build-finished", copy_first_page)
     app.connect("doctree-read", resolve_exactly)
