@@ -14,7 +14,7 @@ RENDERING := $(VENV)/.rendering
 VIEWERS := $(VENV)/.viewers
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint docs lock
+.PHONY: help setup demo test lint docs pictures lock
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -34,6 +34,9 @@ lint: setup ## check style, format and types
 
 docs: setup ## build the site into build/site, without network; open index.html there
 	$(BIN)/python -m sphinx -c docs -W --keep-going -q -d build/site-doctrees . build/site
+
+pictures: setup ## make the pictures of all pages anew: hours; PICTURES="docs/mapping.gif" for some
+	$(BIN)/python tools/make_pictures.py $(PICTURES)
 
 lock: ## make requirements.lock anew from pyproject.toml (needs uv)
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \

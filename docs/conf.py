@@ -27,7 +27,13 @@ REFERENCE = "docs/reference"
 """Folder of the generated pages, one for each package; git ignores it."""
 
 CONTENTS = {
-    "Start": ["docs/running"],
+    "Start": ["docs/path", "docs/running"],
+    "Concepts": ["docs/concepts", "docs/frames"],
+    "Chapters": [*(f"docs/chapter_{number}" for number in (2, 3, 4, 5)), "docs/appendices"],
+    "Tutorials": [
+        f"docs/tutorials/{name}"
+        for name in ("identify", "sensor", "floor_plan", "camera", "insertion")
+    ],
     "Use": ["docs/parts", "docs/extending", "twin/hardware/README"],
     "Results": [
         "docs/results",
@@ -35,6 +41,7 @@ CONTENTS = {
         "docs/benchmarks",
         "docs/performance",
         "docs/mission",
+        "docs/gallery",
     ],
     "Models": [
         f"models/{path.parent.name}/README" for path in sorted(ROOT.glob("models/*/README.md"))
@@ -146,6 +153,21 @@ def mend_markup(
     lines[:] = [re.sub(r"(``.*?``)|\|", lambda bar: bar[1] or r"\|", line) for line in lines]
 
 
+def link_names(app: Any, document: nodes.document) -> None:
+    """Let quoted names and files of the documented packages lead to the reference."""
+    for quoted in list(document.findall(nodes.literal)):
+        name = quoted.astext().removesuffix(".py").replace("/", ".")
+        if name.startswith(tuple(f"{each}." for each in PACKAGES)) and _is_plain(quoted):
+            link = pending_xref("", refdomain="py", reftype="obj", reftarget=name)
+            quoted.replace_self(link)
+            link += quoted
+
+
+def _is_plain(quoted: nodes.literal) -> bool:
+    """Return whether a text in quotes is neither a link nor part of one already."""
+    return not isinstance(quoted.parent, nodes.reference | pending_xref)
+
+
 def resolve_exactly(app: Any, document: nodes.document) -> None:
     """Let types be found by their full names alone.
 
@@ -217,6 +239,7 @@ def setup(app: Any) -> None:
     app.connect("builder-inited", list_constants)
     app.connect("source-read", add_contents)
     app.connect("build-finished", copy_first_page)
+    app.connect("doctree-read", link_names)
     app.connect("doctree-read", resolve_exactly)
     app.connect("autodoc-process-docstring", move_attributes, priority=400)  # before Napoleon
     app.connect("autodoc-process-docstring", mend_markup, priority=600)  # after it

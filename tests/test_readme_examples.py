@@ -11,7 +11,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PAGES = ("README.md", "docs/extending.md", "docs/parts.md")
+PAGES = (
+    "README.md",
+    "docs/extending.md",
+    "docs/parts.md",
+    *(
+        f"docs/tutorials/{name}.md"
+        for name in ("camera", "floor_plan", "identify", "insertion", "sensor")
+    ),
+)
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 NUMBER = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 TOLERANCE = 0.05
@@ -95,7 +103,7 @@ def test_example_prints_what_the_page_shows(example, tmp_path, monkeypatch):
 
 
 def test_every_page_with_examples_is_among_them():
-    pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
     with_examples = {
         str(page.relative_to(ROOT)) for page in pages if "```python" in page.read_text()
     }
