@@ -81,6 +81,8 @@ autodoc_preserve_defaults = True
 
 html_theme = "furo"
 html_title = "fieldtwin"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False
 html_math_renderer = "mathml"
@@ -115,7 +117,7 @@ def write_reference(app: Any) -> None:
 _SECTION = re.compile(r"^Attributes:\n((?:(?: {4}.*)?\n)+)", re.MULTILINE)
 _ENTRY = re.compile(r"^ {4}(\w+): (.*\n(?:(?: {5}.*)?\n)*)", re.MULTILINE)
 _described: dict[str, list[str]] = {}
-"""What is said of attributes and constants, by their full names."""
+"""Descriptions of attributes and constants, by full names."""
 
 
 def move_attributes(
@@ -182,7 +184,7 @@ def resolve_exactly(app: Any, document: nodes.document) -> None:
 def list_constants(app: Any) -> None:
     """Let autodoc list constants without a docstring, which it takes for imported ones.
 
-    What is said of one is the comment on its line.
+    Its description is the comment on its line.
     """
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):

@@ -1,6 +1,6 @@
 """Draw the pictures of docs/concepts.md and docs/frames.md: ``python tools/draw_concepts.py``.
 
-What has a shape is drawn from the compiled models, so that frames stand where the models have them.
+What has a shape is drawn from the compiled models, so that frames are where the models have them.
 """
 
 import itertools
@@ -79,9 +79,9 @@ def draw_contract() -> Figure:
     axes = canvas(7.7, 3.5)
     box(axes, (1.3, 1.7), "Controller\nreset()\nstep(observations)\n→ commands", (2.0, 1.5))
     kinds = ("sim", "quantised", "emulated", "serial:PORT")
-    tells = ("MuJoCo", "counts as the boards do", "boards in another process", "real boards")
-    for row, (kind, told) in enumerate(zip(kinds, tells, strict=True)):
-        box(axes, (6.4, 3.0 - 0.86 * row), f"{kind}\n{told}", (2.4, 0.6))
+    details = ("MuJoCo", "counts as the boards do", "boards in another process", "real boards")
+    for row, (kind, detail) in enumerate(zip(kinds, details, strict=True)):
+        box(axes, (6.4, 3.0 - 0.86 * row), f"{kind}\n{detail}", (2.4, 0.6))
     axes.plot([4.9, 4.9], [0.2, 3.2], color=GREY)
     axes.text(4.82, 3.3, "connect(TARGET)", ha="center", va="bottom", color=GREY)
     arrow(axes, (4.8, 2.2), (2.4, 2.2), "Observation: channels\nvalue, stamp, validity")

@@ -1,7 +1,7 @@
 """Make the pictures of README, docs and models anew: ``python tools/make_pictures.py --help``.
 
 Each picture has a command here that makes it. Where a page shows it smaller than it was drawn, or
-with fewer colours, that is said here, too.
+with fewer colours, that is stated here, too.
 """
 
 import dataclasses
@@ -90,12 +90,16 @@ RECIPES = (
     Recipe(
         f"-m experiments.ch2.rover.movie {OUT}/excitation.gif",
         {"docs/excitation.gif": Shown(f"{OUT}/excitation.gif")},
+        "half a minute",
     ),
     Recipe(
         f"-m experiments.ch3.planar.movie {OUT}/mapping.gif",
         {"docs/mapping.gif": Shown(f"{OUT}/mapping.gif")},
+        "half a minute",
     ),
-    _experiment("mission --quick --record", {"docs/mission.gif": Shown("mission.gif")}),
+    _experiment(
+        "mission --quick --record", {"docs/mission.gif": Shown("mission.gif")}, "four minutes"
+    ),
     _experiment("ch2-rover", {"docs/figure_2-12.png": Shown("figures/figure_2-12.png")}),
     _experiment("ch2-diagnosis --seed 71", {"docs/changes.png": Shown("figures/changes.png")}),
     _experiment("ch3-planar", {"docs/figure_3-13.png": Shown("figures/figure_3-13.png")}),
@@ -190,8 +194,8 @@ def main(
     for recipe in RECIPES:
         wanted = [path for path in recipe.pictures if path in (pictures or known)]
         if wanted:
-            told = " && ".join(f"python {line}" for line in recipe.command.splitlines())
-            print(f"{told}  ({recipe.takes})", *wanted, sep="\n    ", flush=True)
+            commands = " && ".join(f"python {line}" for line in recipe.command.splitlines())
+            print(f"{commands}  ({recipe.takes})", *wanted, sep="\n    ", flush=True)
             if not show:
                 make(recipe, wanted)
 
