@@ -230,7 +230,8 @@ def _visit_math(self: Any, node: nodes.math) -> None:
 
 
 def _visit_displayed_math(self: Any, node: nodes.math_block) -> None:
-    self.body.append(_MATHML.convert_with_local_state(node.astext(), displaystyle=True))
+    equation = _MATHML.convert_with_local_state(node.astext(), displaystyle=True)
+    self.body.append(f'<div class="equation">{equation}</div>')
     raise nodes.SkipNode
 
 
