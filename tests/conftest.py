@@ -7,6 +7,7 @@ random takes another course, as it would on another processor, and every test mu
 import collections
 import json
 import shutil
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,9 @@ HARDWARE = Path(__file__).parent / "twin" / "hardware"
 
 
 def pytest_configure(config):
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        # A shell lets what it starts in the background ignore Ctrl+C, and that is inherited.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line(
         "markers", "virtual_time: of hardware, but waits for no clock: runs beside other tests"
     )
