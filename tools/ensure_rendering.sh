@@ -26,6 +26,7 @@ else
 fi
 echo "setup: installing Mesa for off-screen rendering ($packages)"
 $root apt-get update -qq </dev/null
+# shellcheck disable=SC2086  # Several packages.
 $root env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $packages \
     </dev/null
 if ! renders; then

@@ -15,9 +15,6 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from dm_control.mujoco import Physics, wrapper
-from dm_control.rl import control
-from dm_env import specs
 
 from models.compose import FLAT, FieldConfig, RobotPlacement, make_model, settle
 from perception.geometry.arrays import FloatArray
@@ -25,6 +22,15 @@ from twin.describe import describe_placement
 from twin.robot import Command, Observation
 from twin.sensors import DATASHEET, SensorSuite, channel_widths
 from twin.simulation import Simulation
+
+try:
+    from dm_control.mujoco import Physics, wrapper
+    from dm_control.rl import control
+    from dm_env import specs
+except ModuleNotFoundError as missing:
+    raise ModuleNotFoundError(
+        "twin.environment needs dm_control: pip install 'fieldtwin[dm_control]' (Python 3.11, 3.12)"
+    ) from missing
 
 Reward = Callable[[Mapping[str, Observation]], float]
 

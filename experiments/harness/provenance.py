@@ -15,7 +15,6 @@ import threadpoolctl
 PACKAGES = (
     "fieldtwin",
     "mujoco",
-    "dm_control",
     "numpy",
     "scipy",
     "opencv-python-headless",

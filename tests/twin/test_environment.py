@@ -1,10 +1,15 @@
-import dm_env
+import subprocess
+import sys
+
 import numpy as np
 import pytest
-from dm_control.suite.wrappers import action_scale, pixels
 
 from models.compose import RobotPlacement
-from twin.environment import make_environment
+
+dm_env = pytest.importorskip("dm_env", reason="dm_control has no wheels for Python 3.13")
+from dm_control.suite.wrappers import action_scale, pixels  # noqa: E402
+
+from twin.environment import make_environment  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -55,3 +60,11 @@ def test_wrappers_for_pixels_and_action_scale_work(environment):
     image = step.observation["pixels"]
     assert image.shape == (48, 64, 3) and image.std() > 5
     np.testing.assert_allclose(environment.physics.data.ctrl, 6.0)
+
+
+def test_without_dm_control_it_says_what_to_install():
+    hidden = "import sys; sys.modules['dm_control'] = None; import twin.environment"
+    done = subprocess.run(
+        [sys.executable, "-c", hidden], capture_output=True, text=True, check=False
+    )
+    assert "needs dm_control: pip install 'fieldtwin[dm_control]'" in done.stderr.splitlines()[-1]

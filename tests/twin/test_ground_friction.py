@@ -3,10 +3,10 @@
 import dataclasses
 
 import numpy as np
+import pytest
 
 from models.compose import RobotPlacement, make_model, make_terrain, settle
 from tests.models.scenes import PLAIN
-from twin.environment import make_environment
 from twin.hardware.emulator.scene import EmulatedScene, SceneConfig
 from twin.robot import WHEELS, ArmMode, Command, WheelMode
 from twin.simulation import Simulation
@@ -90,6 +90,9 @@ def test_emulated_boards_and_their_own_begin_have_the_ground_s_friction():
 
 
 def test_environment_of_dm_control_has_them_and_begins_each_episode_alike():
+    pytest.importorskip("dm_control", reason="dm_control has no wheels for Python 3.13")
+    from twin.environment import make_environment  # noqa: PLC0415
+
     environment, ground = make_environment([ROBOT], FIELD), make_terrain(FIELD, [ROBOT])
     action = np.array([0.4, 0.3, 0.4, 0.3, 0.0, 0.0, 0.0, 0.0])
     ends, met = [], set()
