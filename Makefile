@@ -4,6 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?= python3
 PYTEST_ARGS ?=
+WHEEL ?= lightest
+VERSIONS ?= newest
+TWINE := twine==7.0.0
 export MUJOCO_GL ?= egl
 # One BLAS thread: the small matrices here only lose by more, and sweeps use all cores anyway.
 export OMP_NUM_THREADS ?= 1
@@ -14,7 +17,7 @@ RENDERING := $(VENV)/.rendering
 VIEWERS := $(VENV)/.viewers
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint docs pictures lock
+.PHONY: help setup demo test lint docs pictures lock wheel image release
 
 help: ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -41,6 +44,18 @@ pictures: setup ## make the pictures of all pages anew: hours; PICTURES="docs/ma
 lock: ## make requirements.lock anew from pyproject.toml (needs uv)
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-header --no-annotate \
 	    --extra dev pyproject.toml -o requirements.lock
+
+wheel: setup ## run the wheel in an empty environment; WHEEL=all, VERSIONS=lowest or locked
+	@$(BIN)/python tools/try_wheel.py --runs $(WHEEL) --versions $(VERSIONS)
+
+image: ## build the image of the Dockerfile, and run it (docker, or root with buildah)
+	@sh tools/try_image.sh
+
+release: setup ## check and build a release in dist/; publishes nothing
+	@$(BIN)/python tools/check_release.py
+	@$(MAKE) wheel
+	@$(BIN)/python -m venv build/twine && build/twine/bin/python -m pip install --quiet $(TWINE)
+	@build/twine/bin/python -m twine check --strict dist/*
 
 $(PACKAGES): requirements.lock pyproject.toml tools/install_packages.sh
 	@sh tools/install_packages.sh $(PYTHON) $(VENV)

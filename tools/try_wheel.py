@@ -80,19 +80,20 @@ def build(work: Path, dist: Path) -> Path:
         archive.extractall(work / "unpacked", filter="data")
     (unpacked,) = (work / "unpacked").iterdir()
     _build(unpacked, work / "from_sdist", "--wheel")
-    differing = _differing(wheel, work / "from_sdist" / wheel.name)
-    if differing:
-        sys.exit(f"the wheel from the sdist differs in {', '.join(differing)}")
+    if names := differing(wheel, work / "from_sdist" / wheel.name):
+        sys.exit(f"the wheel from the sdist differs in {', '.join(names)}")
     print(f"{wheel.name}: {wheel.stat().st_size / 1e6:.1f} MB, the same from the sdist", flush=True)
     return wheel
 
 
 def _build(source: Path, target: Path, *kinds: str) -> None:
     command = [sys.executable, "-m", "build", "--no-isolation", *kinds, "-o", target, source]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        sys.exit(f"{done.stdout[-3000:]}{done.stderr[-3000:]}")
 
 
-def _differing(one: Path, other: Path) -> list[str]:
+def differing(one: Path, other: Path) -> list[str]:
     """Return the names of what two wheels do not have alike."""
     left, right = ({i.filename: i.CRC for i in zipfile.ZipFile(w).infolist()} for w in (one, other))
     return sorted(name for name in left.keys() | right if left.get(name) != right.get(name))
