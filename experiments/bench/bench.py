@@ -22,7 +22,7 @@ def run(options: Options, output: Output) -> None:
 def _benchmark(name: str) -> Callable[[Options, Output], None]:
     try:
         return pkgutil.resolve_name(BENCHMARKS[name])
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         raise ExperimentError(
             f"--only {name}: the peer {error.name} is missing (pip install 'fieldtwin[peers]')"
         ) from error

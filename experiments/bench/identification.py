@@ -15,6 +15,7 @@ from typing import Any
 import mujoco
 import numpy as np
 from mujoco import sysid
+from mujoco.sysid import ModelSequences  # mujoco.sysid is there, but empty, without its extra.
 from scipy.spatial.transform import Rotation
 
 from controllers.identification.arm_motion import MODES, RigidArm, Trajectory, mode_axes
@@ -223,7 +224,7 @@ class SysidPeer:
         parameters[1:7] = [tensor[element] for element in INERTIA_ELEMENTS]
         return parameters
 
-    def _sequence(self, mode: str, motion: Trajectory, outputs: FloatArray) -> sysid.ModelSequences:
+    def _sequence(self, mode: str, motion: Trajectory, outputs: FloatArray) -> ModelSequences:
         axis, rotation = mode_axes(mode)
         spec = hold_arm(axis, rotation)
         spec.modelname = mode
@@ -245,7 +246,7 @@ class SysidPeer:
         # The measured channels are not MuJoCo's sensors: `_compare` takes them from `_measured`.
         self._measured[mode] = outputs
         unused = sysid.TimeSeries(control.times[:1], np.zeros((1, model.nsensordata)))
-        return sysid.ModelSequences(mode, spec, "recorded", rest, control, unused)
+        return ModelSequences(mode, spec, "recorded", rest, control, unused)
 
     def _build(self, params: sysid.ParameterDict, spec: mujoco.MjSpec) -> mujoco.MjModel:
         parameters = self._physical(params["theta"].value)

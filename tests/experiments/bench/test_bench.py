@@ -98,3 +98,17 @@ def test_a_peer_that_is_not_installed_is_named_with_its_extra(monkeypatch, tmp_p
     assert last == (
         "error: --only mapping: the peer pyoctomap is missing (pip install 'fieldtwin[peers]')"
     )
+
+
+def test_a_peer_whose_own_packages_are_missing_is_named_with_its_extra(
+    monkeypatch, tmp_path, capsys
+):
+    """Then mujoco.sysid can be imported, and is empty."""
+    monkeypatch.delattr("mujoco.sysid.ModelSequences")
+    monkeypatch.delitem(sys.modules, "experiments.bench.identification", raising=False)
+    assert main(["bench", "--only", "identification", "--out", str(tmp_path)]) == 1
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last == (
+        "error: --only identification: the peer mujoco.sysid is missing "
+        "(pip install 'fieldtwin[peers]')"
+    )
