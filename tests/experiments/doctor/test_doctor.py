@@ -31,7 +31,7 @@ def test_missing_and_wrong_packages_are_named_with_a_remedy():
 def test_packages_are_those_that_the_project_says_it_needs():
     with open("pyproject.toml", "rb") as stream:
         project = tomllib.load(stream)["project"]
-    assert set(map(str, requirements())) == set(project["dependencies"])
+    assert set(requirements()) == set(map(Requirement, project["dependencies"]))
 
 
 def test_missing_library_names_its_apt_package(monkeypatch, capsys):
