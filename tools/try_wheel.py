@@ -133,12 +133,16 @@ def install(python: Path, what: str, constraints: Sequence[str]) -> None:
         python: Interpreter of the environment.
         what: The wheel, with extras in brackets.
         constraints: Constraints of pip.
+
+    Raises:
+        SystemExit: If pip cannot, or packages do not fit together.
     """
     named = python.parent / "constraints.txt"
     named.write_text("\n".join(constraints), encoding="utf-8")
     pip = [python, "-m", "pip", "--disable-pip-version-check", "--no-input", "--quiet"]
-    subprocess.run([*pip, "install", "-c", named, what], check=True)
-    subprocess.run([*pip, "check"], check=True)
+    for words in (["install", "-c", named, what], ["check"]):
+        if subprocess.run([*pip, *words], check=False).returncode != 0:
+            sys.exit(f"pip {words[0]} failed for {what}")
 
 
 def commands(rooms: Mapping[str, str], runs: str) -> Iterator[list[str]]:
