@@ -27,7 +27,7 @@ REFERENCE = "docs/reference"
 """Folder of the generated pages, one for each package; git ignores it."""
 
 CONTENTS = {
-    "Start": ["docs/path", "docs/running"],
+    "Start": ["docs/installing", "docs/path", "docs/running"],
     "Concepts": ["docs/concepts", "docs/frames"],
     "Chapters": [*(f"docs/chapter_{number}" for number in (2, 3, 4, 5)), "docs/appendices"],
     "Tutorials": [

@@ -116,14 +116,6 @@ def noise(events):
     return heard
 
 
-def test_continuous_integration_takes_the_makefile_s_commands():
-    workflow = (ROOT / ".github" / "workflows" / "ci.yml").read_text()
-    runs = re.findall(r"- run: (.*)", workflow)
-    targets = re.findall(r"^([a-z]+):", MAKEFILE, re.MULTILINE)
-    assert "make docs" in runs
-    assert set(runs) <= {f"make {target}" for target in targets}
-
-
 def test_a_broken_link_is_seen(tmp_path):
     (tmp_path / "one.html").write_text(
         '<a href="two.html#here">1</a><a href="two.html#gone">2</a><a href="three.html">3</a>'

@@ -38,8 +38,8 @@ def test_wheel_is_tried_with_every_choice_of_versions_and_once_with_all():
     assert "all" in {row["runs"] for row in rows}
 
 
-def test_lint_tests_wheel_and_image_run_without_secrets_and_end():
-    assert {"lint", "test", "wheel", "image"} <= JOBS.keys()
+def test_lint_docs_tests_wheel_and_image_run_without_secrets_and_end():
+    assert {"lint", "docs", "test", "wheel", "image"} <= JOBS.keys()
     assert "secrets." not in WORKFLOW.read_text()
     assert yaml.safe_load(WORKFLOW.read_text())["permissions"] == {"contents": "read"}
     assert all(job["timeout-minutes"] <= 120 for job in JOBS.values())
