@@ -16,7 +16,12 @@ if sys.platform == "linux":
 from experiments.harness import catalogue
 from experiments.harness.catalogue import Experiment
 from experiments.harness.command_line import BAD_OPTIONS, complain, parse, program
-from experiments.harness.contract import ExperimentError, OptionError, Options
+from experiments.harness.contract import (
+    ExperimentError,
+    OptionError,
+    Options,
+    RecordedOptions,
+)
 from experiments.harness.live_viewer import LiveViewer
 from experiments.harness.output import Output
 from experiments.harness.storage import disk_errors
@@ -54,10 +59,9 @@ def main(
         if name not in commands:
             raise OptionError(_unknown(name, list(commands)))
         command = commands[name]
-        options = parse(command.options_type(), name, command.summary, rest)
+        options = parse(command, rest)
         if not isinstance(command, Experiment):
             return command.load()(options)
-        _check_recording(command, options, experiments)
         run_experiment(command, options, rest)
     except (OptionError, ExperimentError, LinkError, RobotError) as error:
         complain(error)
@@ -86,10 +90,11 @@ def run_experiment(experiment: Experiment, options: Options, arguments: Sequence
         Exception: What the experiment raised.
     """
     run = experiment.load()
-    if options.live:  # What is shown is the recording.
+    live = isinstance(options, RecordedOptions) and options.live
+    if live:  # What is shown is the recording.
         options = dataclasses.replace(options, record=True)
     output = Output(experiment.name, options, arguments)
-    shown = closing(LiveViewer(output.file("run.rrd"))) if options.live else nullcontext()
+    shown = closing(LiveViewer(output.file("run.rrd"))) if live else nullcontext()
     with shown as viewer:
         with closing(output), disk_errors(output.directory):
             run(options, output)
@@ -111,16 +116,6 @@ def print_list(experiments: Mapping[str, Experiment]) -> None:
     print(f"usage: {program()} NAME [options]   (NAME --help lists its options)\n")
     for name, text in lines:
         print(f"{name:{width}}  {text}")
-
-
-def _check_recording(
-    experiment: Experiment, options: Options, experiments: Mapping[str, Experiment]
-) -> None:
-    """Refuse to record what is not recorded."""
-    for name in ("record", "live"):
-        if getattr(options, name) and not experiment.records:
-            others = ", ".join(each.name for each in experiments.values() if each.records)
-            raise OptionError(f"--{name}: {experiment.name} has no recording; these have: {others}")
 
 
 def _unknown(name: str, names: Sequence[str]) -> str:

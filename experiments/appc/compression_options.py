@@ -11,7 +11,7 @@ KNOWN, QUICK_KNOWN = (1, 2, 4, 6), (1, 3)
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions):
     """Options of appc-compression.
 
     Attributes:

@@ -20,7 +20,7 @@ BENCHMARKS: dict[str, str] = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions):
     """Options of the benchmarks.
 
     Attributes:

@@ -8,7 +8,7 @@ import numpy as np
 from controllers.braid.arm.inverse import BinaryArm, solve
 from controllers.braid.arm.stage import STATES
 from experiments.appe.arm.inverse_trial import draw_targets
-from experiments.harness.contract import Options
+from experiments.bench.bench_options import Options
 from experiments.harness.output import Output
 from experiments.harness.timing import compare, repeat
 

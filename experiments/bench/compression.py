@@ -6,8 +6,8 @@ from collections.abc import Callable
 import numpy as np
 
 from experiments.appc.pictures import SIZES, bundled_pictures, resampled
+from experiments.bench.bench_options import Options
 from experiments.bench.elevation_tiles import bench_elevation_tiles
-from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
 from perception.compression.image_predictors import PREDICTORS, residuals

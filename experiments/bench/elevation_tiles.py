@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
-from experiments.harness.contract import Options
+from experiments.bench.bench_options import Options
 from experiments.harness.output import Output
 from models.compose import make_terrain
 from models.configuration import FieldConfig

@@ -27,6 +27,7 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.stats import qmc
 
+from experiments.bench.bench_options import Options
 from experiments.bench.image_conditions import BLUR, CLEAN, CONDITIONS, Condition, take
 from experiments.bench.tags import (
     FAMILIES,
@@ -46,7 +47,6 @@ from experiments.ch5.marker_scene import (
     marker_cads,
     normal_prior,
 )
-from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.timing import compare

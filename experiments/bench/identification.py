@@ -44,9 +44,10 @@ from controllers.identification.parameters import (
     second_moments,
     to_coordinates,
 )
+from experiments.bench.bench_options import Options
 from experiments.ch2.simulation.plant import NOISE_FRACTION, SAMPLING, Plant
 from experiments.ch2.simulation.trial import fixed_scale
-from experiments.harness.contract import ExperimentError, Options
+from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from models.compliant_base.build import hold_arm, set_parameters

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from controllers.motion.simple_motions import DriveAndHold
-from experiments.harness.contract import Options
+from experiments.bench.bench_options import Options
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
 from models.compose import FieldConfig, RobotPlacement, make_model, settle

@@ -12,8 +12,8 @@ import pyoctomap
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from experiments.bench.bench_options import Options
 from experiments.ch3.stereo.scene import HEAD, PIXEL_SIGMA, look_at
-from experiments.harness.contract import Options
 from experiments.harness.output import Output
 from experiments.harness.timing import compare, timed
 from perception.geometry.arrays import FloatArray

@@ -13,10 +13,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse
 from numpy.typing import NDArray
 
+from experiments.bench.bench_options import Options
 from experiments.bench.fiducials import bench_fiducials
 from experiments.ch3.stereo.scene import HEAD
 from experiments.ch5.marker_scene import MarkerScene, MarkerView, expectation, normal_prior
-from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.timing import compare

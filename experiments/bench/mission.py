@@ -9,7 +9,7 @@ from typing import Any
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.visual_odometry import VisualOdometry
 from controllers.mission.navigator import Navigator
-from experiments.harness.contract import Options
+from experiments.bench.bench_options import Options
 from experiments.harness.output import Output
 from experiments.mission.trial import MissionTrial, prepared
 from perception.elevation.map import ElevationMap

@@ -16,10 +16,10 @@ from controllers.placement.spatial.search import (
     best_view_of_all,
 )
 from controllers.placement.task import PlacementError, Target, View
+from experiments.bench.bench_options import Options
 from experiments.ch3.stereo.scene import StereoScene
 from experiments.ch4.spatial.placement_scene import add_view, head_lens, map_scene, panel_targets
 from experiments.ch5.insertion_scene import insertion_drawing
-from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.timing import compare

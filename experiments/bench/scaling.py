@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 from controllers.braid.arm.inverse import BinaryArm, solve
 from controllers.motion.simple_motions import DriveAndHold
 from experiments.appe.arm.inverse_trial import draw_targets
+from experiments.bench.bench_options import Options
 from experiments.bench.loop import SPAN, WHEEL_SPEED
 from experiments.bench.mapping import FINE_BOX, MEMORY, Scene, fast_map, random_view, see
-from experiments.harness.contract import Options
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.provenance import free_cores

@@ -1,13 +1,18 @@
 """Options of ``ch2-diagnosis``."""
 
 import dataclasses
-from typing import ClassVar
 
 from experiments.harness import contract
+from experiments.harness.contract import SimulatedRobot
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
-    """Options of the diagnosis."""
+class Options(contract.RepeatedOptions):
+    """Options of the diagnosis.
 
-    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
+    Attributes:
+        robot: Robot that is driven: sim, quantised (counts as the boards do) or emulated (over the
+            boards' own protocols).
+    """
+
+    robot: SimulatedRobot = "sim"

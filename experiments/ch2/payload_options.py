@@ -1,24 +1,25 @@
 """Options of ``ch2-payload``."""
 
 import dataclasses
-from typing import ClassVar
 
 from experiments.harness import contract
-from experiments.harness.contract import OptionError
+from experiments.harness.contract import OptionError, SimulatedRobot
 from twin.optics.realism import RealismName
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of the payload identification.
 
     Attributes:
+        robot: Robot that is driven: sim, quantised (counts as the boards do) or emulated (over the
+            boards' own protocols).
         duration: Time for which the arm swings, with the box and, if made, before without [s].
         realism: How far robots and their sensors are from their drawings: ideal, default or harsh;
             with any but ideal each seed has a robot of its own, which swings empty first.
     """
 
-    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
+    robot: SimulatedRobot = "sim"
     duration: float = 30.0
     realism: RealismName = "default"
 

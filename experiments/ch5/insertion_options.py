@@ -11,7 +11,7 @@ PARTS = ("table", "impossible", "noise", "faults", "guides")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of ch5-insertion.
 
     Attributes:

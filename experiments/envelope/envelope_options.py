@@ -8,7 +8,7 @@ from experiments.harness.contract import OptionError
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions):
     """Options of mission-envelope.
 
     Attributes:

@@ -6,13 +6,12 @@ import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
 import tyro
 
+from experiments.harness.catalogue import Command, Experiment
 from experiments.harness.contract import OptionError
-
-Parsed = TypeVar("Parsed")
 
 BAD_OPTIONS = 2
 BOX = re.compile(r"[╭╮╰╯│─]+")
@@ -25,34 +24,41 @@ def program() -> str:
     return "fieldtwin" if Path(sys.argv[0]).stem == "fieldtwin" else "python -m experiments"
 
 
-def parse(options_type: type[Parsed], name: str, summary: str, arguments: Sequence[str]) -> Parsed:
+def parse(command: Command, arguments: Sequence[str]) -> Any:
     """Return the options of a command.
 
     Args:
-        options_type: A dataclass; its docstring's attributes are the help texts.
-        name: Name of the command.
-        summary: Description of the command in the help.
+        command: Entry of the catalogue; the docstring of its options has the help texts.
         arguments: Words after the name.
 
     Raises:
         OptionError: If they are bad.
         SystemExit: After printing help.
     """
-    command = f"{program()} {name}"
+    called = f"{program()} {command.name}"
     messages = io.StringIO()
     try:
         with contextlib.redirect_stderr(messages):
             return tyro.cli(
-                options_type,
-                prog=command,
-                description=summary,
+                command.options_type(),
+                prog=called,
+                description=f"{command.summary}\n\n{_more(command, called)}",
                 args=list(arguments),
                 config=(tyro.conf.FlagCreatePairsOff,),
             )
     except SystemExit as stop:
         if stop.code in (None, 0):
             raise
-        raise OptionError(f"{_one_line(messages.getvalue())}; see {command} --help") from None
+        raise OptionError(f"{_one_line(messages.getvalue())}; see {called} --help") from None
+
+
+def _more(command: Command, called: str) -> str:
+    """Return an example, and how long a run takes."""
+    example = f"Example: {called} {command.example}"
+    if not isinstance(command, Experiment):
+        return example
+    full = f", a full one {command.full} on two cores" if command.full else ""
+    return f"{example}\n\nA quick run takes less than a minute{full}. Reproduces: {command.thesis}."
 
 
 def complain(message: object) -> None:

@@ -2,10 +2,13 @@
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
+
+SimulatedRobot = Literal["sim", "quantised", "emulated"]
+"""Robots of which a simulation knows the truth: as it is, or seen through boards."""
 
 
 class ExperimentError(RuntimeError):
@@ -18,32 +21,19 @@ class OptionError(ValueError):
 
 @dataclasses.dataclass(frozen=True)
 class Options:
-    """Options of every experiment; an experiment extends them with its own.
+    """Options of every experiment; an experiment extends them, or those below, with its own.
 
     Attributes:
         quick: A smaller, honest run (less than a minute on two cores).
-        seeds: Number of random repetitions (unless said, the experiment's own number).
-        jobs: Number of processes that share a sweep (unless said, one for each core).
         seed: Root of all randomness; the same seed gives the same run.
         out: Folder of results; this experiment writes to OUT/NAME/.
-        record: Also write a recording for the rerun viewer, OUT/NAME/run.rrd.
-        live: As --record, and show the recording in the rerun viewer as it grows: in a window, or
-            without a display on a page of this machine until Ctrl+C.
-        resume: Keep the finished jobs of an interrupted sweep; the code must be the same.
-        backend: Workers of a sweep: local processes (loky) or a Dask cluster (dask).
-        scheduler: Address of the Dask scheduler, for instance tcp://10.0.0.1:8786.
+        format: Also write figures as svg or pdf, for papers.
     """
 
     quick: bool = False
-    seeds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    jobs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     seed: int = 0
     out: Path = Path("results")
-    record: bool = False
-    live: bool = False
-    resume: bool = False
-    backend: Literal["loky", "dask"] = "loky"
-    scheduler: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+    format: Literal["png", "svg", "pdf"] = "png"
 
     def __post_init__(self) -> None:
         """Refuse what no experiment could run with.
@@ -51,16 +41,73 @@ class Options:
         An experiment with rules of its own calls this from its own ``__post_init__``.
 
         Raises:
-            OptionError: If a number is out of range or the scheduler does not suit the backend.
+            OptionError: If the seed is negative.
         """
-        for name in ("seeds", "jobs"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise OptionError(f"--{name}: expected at least 1, got {value}")
         if self.seed < 0:
             raise OptionError(f"--seed: expected 0 or more, got {self.seed}")
+
+
+@dataclasses.dataclass(frozen=True)
+class RecordedOptions(Options):
+    """Options of an experiment that can be recorded.
+
+    Attributes:
+        record: Also write a recording for the rerun viewer, OUT/NAME/run.rrd.
+        live: As --record, and show the recording in the rerun viewer as it grows: in a window, or
+            without a display on a page of this machine until Ctrl+C.
+    """
+
+    record: bool = False
+    live: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class SweepOptions(Options):
+    """Options of an experiment whose jobs several processes share.
+
+    Attributes:
+        jobs: Number of processes (unless said, one for each core).
+        resume: Keep the finished jobs of an interrupted run; the code must be the same.
+        backend: Local processes (loky) or a Dask cluster (dask).
+        scheduler: Address of the Dask scheduler, for instance tcp://10.0.0.1:8786.
+    """
+
+    jobs: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    resume: bool = False
+    backend: Literal["loky", "dask"] = "loky"
+    scheduler: Annotated[str | None, tyro.conf.arg(metavar="ADDRESS")] = None
+
+    def __post_init__(self) -> None:
+        """Refuse what no sweep could run with.
+
+        Raises:
+            OptionError: If there are no processes, or the scheduler does not suit the backend.
+        """
+        super().__post_init__()
+        check_count("jobs", self.jobs)
         if (self.backend == "dask") != (self.scheduler is not None):
             raise OptionError("--scheduler: needed with --backend dask, and only used with it")
+
+
+@dataclasses.dataclass(frozen=True)
+class RepeatedOptions(SweepOptions):
+    """Options of an experiment that is repeated with several seeds.
+
+    Attributes:
+        seeds: Number of repetitions, each with a seed of its own (unless said, as many as the
+            published figures have).
+    """
+
+    seeds: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+
+    def __post_init__(self) -> None:
+        """Refuse no repetition.
+
+        Raises:
+            OptionError: If there is none, or as `SweepOptions`.
+        """
+        super().__post_init__()
+        check_count("seeds", self.seeds)
 
     def job_seeds(self, full: int, quick: int) -> list[int]:
         """Return one seed for each repetition, all derived from ``seed``.
@@ -75,27 +122,15 @@ class Options:
         return [int(word) for word in np.random.SeedSequence(self.seed).generate_state(count)]
 
 
-@dataclasses.dataclass(frozen=True)
-class SimulatedOptions(Options):
-    """Options of an experiment that sets or scores by what only a simulation knows.
+def check_count(name: str, value: int | None) -> None:
+    """Refuse a number of things that is below 1.
 
-    Attributes:
-        targets: Robots on which the experiment runs.
-        robot: Which robot: sim or, where boards serve as well, quantised or emulated.
+    Args:
+        name: Name of the option, without dashes.
+        value: Its value, None where it is not given.
+
+    Raises:
+        OptionError: Naming the option.
     """
-
-    targets: ClassVar[tuple[str, ...]] = ("sim",)
-    robot: str = "sim"
-
-    def __post_init__(self) -> None:
-        """Refuse robots whose payload, ground or tilt could not be set.
-
-        Raises:
-            OptionError: If the robot is not simulated, or as `Options`.
-        """
-        super().__post_init__()
-        if self.robot not in self.targets:
-            raise OptionError(
-                f"--robot {self.robot}: what this experiment sets is known of simulated robots "
-                f"only; available: {', '.join(self.targets)}"
-            )
+    if value is not None and value < 1:
+        raise OptionError(f"--{name}: expected at least 1, got {value}")

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.harness import provenance, storage
-from experiments.harness.contract import OptionError, Options
+from experiments.harness.contract import OptionError, Options, SweepOptions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -109,16 +109,19 @@ class Output:
         self.check(name, float(value), f"{low:g} to {high:g}", bool(low <= value <= high))
 
     def figure(self, name: str, figure: "Figure") -> Path:
-        """Write a figure to figures/NAME.png, clear it, and return where it will be.
+        """Write a figure to figures/NAME.png, clear it, and return where that will be.
+
+        With ``--format`` svg or pdf it is written so, too.
 
         Args:
             name: File name without ending, after the thesis' figure, for instance "figure_2-4".
             figure: A matplotlib figure.
         """
-        path = self.file(f"figures/{name}.png")
-        figure.savefig(path, dpi=150, bbox_inches="tight")
+        for ending in dict.fromkeys(("png", self._options.format)):
+            path = self.file(f"figures/{name}.{ending}")
+            figure.savefig(path, dpi=150, bbox_inches="tight")
         figure.clear()
-        return self.directory / "figures" / path.name
+        return self.directory / "figures" / f"{name}.png"
 
     def table(self, name: str, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> Path:
         """Write a table to tables/NAME.csv and return where it will be.
@@ -159,7 +162,8 @@ class Output:
     def jobs_directory(self) -> Path:
         """Return OUT/NAME/jobs, emptied on first use unless the run resumes another."""
         directory = self.directory / "jobs"
-        if not self._jobs_ready and not self._options.resume:
+        resumed = isinstance(self._options, SweepOptions) and self._options.resume
+        if not self._jobs_ready and not resumed:
             _remove(directory)
         directory.mkdir(parents=True, exist_ok=True)
         if not self._jobs_ready:

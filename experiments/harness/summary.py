@@ -1,5 +1,7 @@
 """The result of a run on the terminal."""
 
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -7,6 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from experiments.harness.catalogue import Experiment
+from experiments.harness.command_line import program
 from experiments.harness.output import Output
 
 
@@ -54,3 +57,15 @@ def print_summary(experiment: Experiment, output: Output) -> None:
     for path in sorted(output.directory.rglob("*")):
         if path.is_file() and path.name != ".lock" and "jobs" not in path.parts:
             console.print(str(path), highlight=False, soft_wrap=True)
+    for line in _next(output.directory):
+        console.print(line, highlight=False, soft_wrap=True)
+
+
+def _next(directory: Path) -> Iterator[str]:
+    """Yield what to do with the results of a run."""
+    recording = directory / "run.rrd"
+    if recording.exists():
+        yield f"next: rerun {recording} shows the recording"
+    first = min((directory / "figures").glob("*.png"), default=None)
+    page = f"{program()} report --out {directory.parent}"
+    yield f"next: {f'look at {first}, or ' if first else ''}{page} shows all results on one page"

@@ -20,7 +20,7 @@ import threadpoolctl
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from experiments.harness.contract import ExperimentError, Options
+from experiments.harness.contract import ExperimentError, SweepOptions
 from experiments.harness.output import Output, plain
 from experiments.harness.storage import read_checked, write_checked
 from twin.hardware.background import end_with_parent
@@ -34,7 +34,7 @@ CONNECT_TIMEOUT = 10.0  # [s] to reach a Dask scheduler
 def sweep(
     function: Callable[[Config], Result],
     configs: Sequence[Config],
-    options: Options,
+    options: SweepOptions,
     output: Output,
     *,
     label: str = "jobs",
@@ -110,7 +110,7 @@ def concatenated(parts: Sequence[Result]) -> Result:
 
 
 def _results(
-    function: Callable[[Config], Result], pending: Mapping[str, Config], options: Options
+    function: Callable[[Config], Result], pending: Mapping[str, Config], options: SweepOptions
 ) -> Iterator[tuple[str, Result]]:
     """Yield key and result of each job as it ends."""
     if not pending:
@@ -134,7 +134,7 @@ def _job(function: Callable[[Config], Result], key: str, config: Config) -> tupl
 
 
 @contextlib.contextmanager
-def _backend(options: Options) -> Iterator[None]:
+def _backend(options: SweepOptions) -> Iterator[None]:
     if options.backend == "loky":
         with joblib.parallel_config(
             backend="loky",

@@ -6,5 +6,5 @@ from experiments.harness import contract
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
+class Options(contract.RepeatedOptions):
     """Options of appa-tipover."""

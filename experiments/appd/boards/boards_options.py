@@ -9,31 +9,25 @@ PARTS = ("trials", "matrix", "soak")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions):
     """Options of the boards' experiment; ``--seeds`` is the number of emulated rovers.
 
     Attributes:
-        robot: Which boards: emulated.
         parts: Parts to run: trials (faults while time stands still between ticks, damaged lines,
             the pace on the wall clock), matrix (every fault in every state on boards with their own
             clock; 40 minutes on two cores), soak (four hours of the robot's time with faults; up to
             two hours on two slow cores).
     """
 
-    robot: str = "emulated"
     parts: tuple[str, ...] = ("trials",)
 
     def __post_init__(self) -> None:
-        """Refuse unknown parts, and boards that nobody should break on purpose.
+        """Refuse unknown parts.
 
         Raises:
-            OptionError: If a part is unknown, or the boards are not emulated.
+            OptionError: Naming the part.
         """
         for part in self.parts:
             if part not in PARTS:
                 raise OptionError(f"--parts {part}: expected some of {', '.join(PARTS)}")
         super().__post_init__()
-        if self.robot != "emulated":
-            raise OptionError(
-                f"--robot {self.robot}: faults are injected here; available: emulated"
-            )

@@ -54,7 +54,7 @@ def run(options: Options, output: Output) -> None:
         output: Receives ``calibration_error_percent`` and the constants beside Table D-1's.
     """
     configs = [
-        WeighingJob(seed, key, options.robot)
+        WeighingJob(seed, key)
         for seed in options.job_seeds(24, 3)
         for key in INCLINOMETER_CALIBRATION
     ]

@@ -120,12 +120,10 @@ class WeighingJob:
     Attributes:
         seed: Random seed of the tilts and of the sensor noise.
         key: Robot of Table D-1.
-        robot: Which robot, as `twin.connect.connect` takes it.
     """
 
     seed: int
     key: str
-    robot: str
 
 
 @dataclasses.dataclass(frozen=True)
@@ -150,18 +148,13 @@ class WeighedRobot:
 
 
 def weigh_one(job: WeighingJob) -> WeighedRobot:
-    """Weigh one robot at all tilts; a job of the sweep.
-
-    Raises:
-        ValueError: If the robot is not simulated.
-    """
+    """Weigh one robot at all tilts; a job of the sweep."""
     draws, noise = np.random.SeedSequence([job.seed, _number(job.key)]).spawn(2)
     rng = np.random.default_rng(draws)
     placement = RobotPlacement(robot_name(job.key), stereo=False)
     seed = int(noise.generate_state(1)[0])
-    with connect(job.robot, robots=[placement], field=FIELD, seed=seed) as connection:
-        if connection.simulation is None:
-            raise ValueError(f"robot {job.robot!r} cannot be put on a simulated table")
+    with connect("sim", robots=[placement], field=FIELD, seed=seed) as connection:
+        assert connection.simulation is not None
         robot = connection.robots[placement.name]
         robot.activate()
         home = np.array(datasheets.ARM.home)

@@ -80,7 +80,7 @@ class _Truth(LoopRecorder):
 
 
 def converse(
-    modems: ModemConfig, duration: float, seed: int, robot: str = "sim", record: str | None = None
+    modems: ModemConfig, duration: float, seed: int, record: str | None = None
 ) -> Conversation:
     """Let both rovers drive and share their poses.
 
@@ -88,7 +88,6 @@ def converse(
         modems: Properties of the simulated radio.
         duration: Duration of the drive [s].
         seed: Random seed of sensor noise, byte errors and sessions.
-        robot: Which robots.
         record: File for a recording, if any.
     """
     sensors, radio = np.random.SeedSequence(seed).spawn(2)
@@ -96,7 +95,7 @@ def converse(
     lines = LineConfig(modems=modems, radio_rng=np.random.default_rng(radio))
     with contextlib.ExitStack() as stack:
         connection = stack.enter_context(
-            connect(robot, robots=PLACEMENTS, field=FIELD, seed=noise, lines=lines)
+            connect("sim", robots=PLACEMENTS, field=FIELD, seed=noise, lines=lines)
         )
         assert connection.simulation is not None
         links = {n: link for n, link in connection.links.items() if isinstance(link, FramedLink)}

@@ -205,7 +205,7 @@ def _talk(options: Options, output: Output) -> None:
     duration = TALK[options.quick]
     record = str(output.file("run.rrd")) if options.record else None
     modems = ModemConfig(delay=options.delay, error_rate=RATE)
-    result = converse(modems, duration, options.seed, options.robot, record)
+    result = converse(modems, duration, options.seed, record)
     period = float(np.median(np.diff(result.truth[:, 0])))
     rows: list[list[Any]] = []
     for name, other in zip(ROBOTS, reversed(ROBOTS)):

@@ -7,7 +7,7 @@ from experiments.harness.contract import OptionError
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of the radio experiment.
 
     Attributes:

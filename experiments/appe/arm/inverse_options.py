@@ -3,13 +3,12 @@
 import dataclasses
 
 from experiments.harness import contract
-from experiments.harness.contract import OptionError
 
 TARGETS, QUICK_TARGETS = 1000, 20
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.SweepOptions):
     """Options of appe-inverse.
 
     Attributes:
@@ -25,8 +24,7 @@ class Options(contract.Options):
             OptionError: If there are none.
         """
         super().__post_init__()
-        if self.targets is not None and self.targets < 1:
-            raise OptionError(f"--targets {self.targets}: expected at least 1")
+        contract.check_count("targets", self.targets)
 
     def count(self) -> int:
         """Return the number of targets of each kind."""

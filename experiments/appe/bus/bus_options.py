@@ -6,5 +6,5 @@ from experiments.harness import contract
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions):
     """Options of the bus experiment; none of its own."""

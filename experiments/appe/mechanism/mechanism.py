@@ -93,7 +93,7 @@ def _sag(options: Options, output: Output) -> None:
     """Let arms of different length sag."""
     counts = QUICK_SAGGING if options.quick else SAGGING
     words = QUICK_SAG_WORDS if options.quick else SAG_WORDS
-    seed = options.job_seeds(1, 1)[0]
+    (seed,) = np.random.SeedSequence(options.seed).generate_state(1).tolist()
     trials = [ArmTrial(n, seed, words, head) for n in counts for head in (True, False)]
     results = sweep(run_sag, trials, options, output, label="arms")
     rows = []

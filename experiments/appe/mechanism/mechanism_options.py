@@ -10,7 +10,7 @@ SAGGING, QUICK_SAGGING = (1, 2, 3, 4, 5, 6, 7, 8), (1, 3, 5)
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.SweepOptions, contract.RecordedOptions):
     """Options of appe-mechanism.
 
     Attributes:
@@ -32,11 +32,8 @@ class Options(contract.Options):
         super().__post_init__()
         if not 1 <= self.stages <= SAGGING[-1]:
             raise OptionError(f"--stages {self.stages}: expected 1 to {SAGGING[-1]}")
-        for name in ("words", "at_once"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                option = name.replace("_", "-")
-                raise OptionError(f"--{option} {value}: expected at least 1")
+        contract.check_count("words", self.words)
+        contract.check_count("at-once", self.at_once)
 
     def group(self) -> int:
         """Return how many legs are heated together."""

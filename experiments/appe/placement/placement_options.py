@@ -9,7 +9,7 @@ MOST_STAGES = 5
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of appe-placement.
 
     Attributes:

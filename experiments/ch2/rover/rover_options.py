@@ -13,7 +13,7 @@ Axis = Literal["pitch", "roll"]
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of ch2-rover.
 
     Attributes:

@@ -15,11 +15,12 @@ NOISES = ("fixed", "relative")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of ch2-simulation.
 
     Attributes:
-        truth: JSON or TOML file with the 22 true parameters (unless given, Table 2-1's).
+        truth: JSON or TOML file with the 22 true parameters in SI units (unless given, Table
+            2-1's); truth-template prints one.
         random_truth: Run on this many random plausible parameter sets instead, each with
             --seeds repetitions (1 unless said).
         excitations: Which to compare (unless said, all; with --quick, constant and information).
@@ -45,8 +46,7 @@ class Options(contract.Options):
         for name in self.excitations:
             if name not in EXCITATIONS:
                 raise OptionError(f"--excitations {name}: expected {', '.join(EXCITATIONS)}")
-        if self.random_truth is not None and self.random_truth < 1:
-            raise OptionError(f"--random-truth: expected at least 1, got {self.random_truth}")
+        contract.check_count("random-truth", self.random_truth)
         if self.starts < 0:
             raise OptionError(f"--starts: expected at least 0, got {self.starts}")
         if self.random_truth is not None and self.truth is not None:

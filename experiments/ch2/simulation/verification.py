@@ -32,7 +32,7 @@ from controllers.identification.parameters import COUNT, NAMES
 from experiments.ch2.simulation.plant import NOISE_FRACTION, Plant
 from experiments.ch2.simulation.trial import TIME_STEP, fixed_scale
 from experiments.ch2.simulation.truths import TABLE_TRUTH, Truth
-from experiments.harness.contract import Options
+from experiments.harness.contract import SweepOptions
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from perception.geometry.arrays import FloatArray
@@ -240,11 +240,11 @@ def verification(config: tuple[str, int]) -> Proof:
     return Proof(error=regression_error(TABLE_TRUTH, run, plant), difference=difference)
 
 
-def verify(options: Options, output: Output) -> None:
+def verify(options: SweepOptions, output: Output) -> None:
     """Measure and check what does not depend on the trials.
 
     Args:
-        options: Options of the run.
+        options: SweepOptions of the run.
         output: Output that receives metrics and checks.
     """
     configs = [(case, options.seed) for case in CASES]

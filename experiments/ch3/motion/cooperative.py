@@ -47,7 +47,7 @@ FACING = RigidTransform.from_exp_coords([np.pi / 2.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 COLUMNS = ("data", "case", "median_mm", "low_mm", "high_mm", "nees", "runs")
 
 
-def measure_cooperation(options: contract.Options, output: Output) -> None:
+def measure_cooperation(options: contract.RepeatedOptions, output: Output) -> None:
     """Compare ways to triangulate from two robots; measure, tabulate and draw.
 
     Args:

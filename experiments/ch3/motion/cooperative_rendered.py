@@ -81,7 +81,7 @@ class RenderedPair(Triangulated):
     gross: BoolArray = dataclasses.field(default_factory=lambda: np.zeros(0, np.bool_))
 
 
-def measure_rendered(options: contract.Options, output: Output) -> list[RenderedPair]:
+def measure_rendered(options: contract.RepeatedOptions, output: Output) -> list[RenderedPair]:
     """Triangulate rendered scenes over seeds.
 
     Args:

@@ -81,7 +81,7 @@ class CameraTrial:
     steps: int = STEPS
 
 
-def measure_motion(options: contract.Options, output: Output) -> None:
+def measure_motion(options: contract.RepeatedOptions, output: Output) -> None:
     """Sweep over ranges, numbers of fiducials, noise and seeds; measure and draw.
 
     Args:

@@ -103,7 +103,7 @@ class RenderedRun(Followed):
     with_next: tuple[FloatArray, ...]
 
 
-def measure_rendered_motion(options: contract.Options, output: Output) -> None:
+def measure_rendered_motion(options: contract.RepeatedOptions, output: Output) -> None:
     """Follow a rendered camera over seeds and ranges; measure, and draw figure 3-23.
 
     Args:

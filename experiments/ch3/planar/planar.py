@@ -7,6 +7,7 @@ somewhere that can be reached.
 """
 
 import dataclasses
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -46,7 +47,7 @@ def run(options: Options, output: Output) -> None:
     """
     seeds = options.job_seeds(12, 2)
     if options.world is not None:
-        build_world(PlanarTrial(str(options.world), seeds[0], "information"))  # a bad one ends here
+        _examine_plan(options, seeds[0])
     groups = make_groups(options, seeds)
     trials = [trial for group in groups.values() for each in group.values() for trial in each]
     found = sweep(map_world, trials, options, output, label="runs")
@@ -70,6 +71,15 @@ def run(options: Options, output: Output) -> None:
         record_trial(shown, output.file("run.rrd"))
 
 
+def _examine_plan(options: Options, seed: int) -> None:
+    """Let a bad picture end the run before it begins, and say how large a world it is."""
+    trial = PlanarTrial(str(options.world), seed, "information", pixel=options.picture_pixel)
+    grid = build_world(trial).grid
+    shrunk = " (shrunk: it has more pixels)" if grid.cell > options.picture_pixel else ""
+    size = f"{grid.columns} x {grid.rows} cells of {grid.cell:.3g} m{shrunk}"
+    print(f"{options.world}: {size}", file=sys.stderr)
+
+
 def make_groups(
     options: Options, seeds: Sequence[int]
 ) -> dict[str, dict[Method, list[PlanarTrial]]]:
@@ -82,6 +92,7 @@ def make_groups(
         utility=options.utility,
         noise=options.noise,
         target=TARGET if options.quick else END,
+        pixel=options.picture_pixel,
     )
 
     def trials(
@@ -96,8 +107,8 @@ def make_groups(
 
     methods = options.chosen_methods()
     if options.world is not None:
-        sensor = (options.fov, options.depth)
-        return {"picture": trials(str(options.world), methods, sensor, LIMITS["indoor"])}
+        sensor, limit = options.picture_sensor, LIMITS["indoor"]
+        return {"picture": trials(str(options.world), methods, sensor, limit)}
     groups = {
         "unstructured": trials("unstructured", methods, WIDE, LIMITS["unstructured"]),
         "indoor": trials("indoor", methods, NARROW, LIMITS["indoor"]),

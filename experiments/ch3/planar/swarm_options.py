@@ -10,7 +10,7 @@ LARGEST = 200
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of ch3-swarm.
 
     Attributes:

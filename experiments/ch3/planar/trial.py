@@ -46,6 +46,7 @@ class PlanarTrial:
         utility: Utility of method information.
         noise: Standard deviation of a range over its square [1/m].
         target: Fraction mapped at which a run ends.
+        pixel: Side of a picture's pixel [m].
     """
 
     world: str
@@ -60,6 +61,7 @@ class PlanarTrial:
     utility: Utility = "going_rate"
     noise: float = 0.0
     target: float = 1.0
+    pixel: float = 0.5
 
     @property
     def sensor(self) -> RangeSensor:
@@ -99,7 +101,7 @@ def build_world(trial: PlanarTrial) -> World:
     drawn = {"unstructured": unstructured_world, "indoor": indoor_world}
     if trial.world in drawn:
         return drawn[trial.world](trial.seed)
-    return image_world(Path(trial.world), trial.seed)
+    return image_world(Path(trial.world), trial.seed, trial.pixel)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -204,13 +204,16 @@ def _door_sites(occupied: BoolArray, wide: int) -> BoolArray:
     return sites
 
 
-def image_world(path: Path, seed: int, cell: float = 0.5) -> World:
-    """Read a floor plan: dark is obstacle, a pixel is a cell, larger pictures are shrunk.
+def image_world(path: Path, seed: int, pixel: float = 0.5) -> World:
+    """Read a floor plan: dark is obstacle, a pixel is a cell, unless it has too many of them.
 
     Args:
         path: Picture, such as PNG or JPEG; its top is the world's far side.
         seed: Seed of the start.
-        cell: Side of a cell [m].
+        pixel: Side of a pixel [m].
+
+    Returns:
+        The world; where the picture had to be shrunk its cells are larger than pixels.
 
     Raises:
         OptionError: If it cannot be read, is too small or too large, or leaves no free start.
@@ -226,7 +229,7 @@ def image_world(path: Path, seed: int, cell: float = 0.5) -> World:
         size = f"{picture.shape[1]} x {picture.shape[0]}"
         raise OptionError(f"--world {path}: {size} pixels, needed {SMALLEST} or more a side")
     occupied = np.asarray(picture) < DARK
-    shrink = max(picture.shape) / IMAGE_LONGEST
+    shrink = max(1.0, max(picture.shape) / IMAGE_LONGEST)
     if shrink > 1.0:
         # A cell with any wall in it is a wall: thin lines must not vanish.
         rows, columns = (max(int(side / shrink), 2) for side in picture.shape)
@@ -235,6 +238,6 @@ def image_world(path: Path, seed: int, cell: float = 0.5) -> World:
         )
         occupied = np.asarray(share) > 0.25
     try:
-        return make_world(occupied[::-1].copy(), np.random.default_rng(seed), cell)
+        return make_world(occupied[::-1].copy(), np.random.default_rng(seed), pixel * shrink)
     except ValueError as error:
         raise OptionError(f"--world {path}: {error}") from None

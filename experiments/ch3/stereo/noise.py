@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from experiments.ch3.stereo.scene import RIG, StereoScene, look_at
-from experiments.harness.contract import Options
+from experiments.harness.contract import RepeatedOptions
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -34,7 +34,7 @@ METHODS = ("refined", "bm", "sgbm")
 LABELS = {"refined": "ours", "bm": "StereoBM", "sgbm": "StereoSGBM"}
 
 
-def measure_noise(options: Options, output: Output) -> None:
+def measure_noise(options: RepeatedOptions, output: Output) -> None:
     """Measure disparity and depth noise and hold them against eq. 3-6.
 
     Args:

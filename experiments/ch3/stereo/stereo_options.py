@@ -1,30 +1,28 @@
 """Options of ``ch3-stereo``."""
 
 import dataclasses
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import tyro
 
 from experiments.harness import contract
-from experiments.harness.contract import OptionError
+from experiments.harness.contract import OptionError, SimulatedRobot
 
 PARTS = ("noise", "motion", "mapping", "cooperation")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.SimulatedOptions):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of stereo mapping.
 
     Attributes:
-        targets: Valid values of `robot`.
         robot: Robots that map: sim, quantised or emulated. The parts noise, motion and cooperation
             need no robot.
         parts: Parts to run: noise, motion, mapping, cooperation (all by default).
         scans: Number of views of each robot (by default 12; with --quick, 3).
     """
 
-    targets: ClassVar[tuple[str, ...]] = ("sim", "quantised", "emulated")
-    robot: str = "sim"
+    robot: SimulatedRobot = "sim"
     parts: tuple[str, ...] = ()
     scans: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
 
@@ -38,8 +36,7 @@ class Options(contract.SimulatedOptions):
         for part in self.parts:
             if part not in PARTS:
                 raise OptionError(f"--parts {part}: expected some of {', '.join(PARTS)}")
-        if self.scans is not None and self.scans < 1:
-            raise OptionError(f"--scans: expected at least 1, got {self.scans}")
+        contract.check_count("scans", self.scans)
         if self.robot != "sim" and self.parts and "mapping" not in self.parts:
             raise OptionError(f"--robot {self.robot}: add mapping to --parts; the others need none")
         if self.record and self.parts and "mapping" not in self.parts:

@@ -6,5 +6,5 @@ from experiments.harness import contract
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of ch4-montecarlo; ``--seeds`` is the number of tests a cell of the table."""

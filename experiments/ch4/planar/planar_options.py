@@ -9,7 +9,7 @@ from experiments.harness.contract import OptionError
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of ch4-planar.
 
     Attributes:

@@ -8,7 +8,7 @@ from models.work_piece import HOLES
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of ch4-stereo.
 
     Attributes:
@@ -29,8 +29,7 @@ class Options(contract.Options):
             OptionError: Naming the option.
         """
         super().__post_init__()
-        if self.scenes is not None and self.scenes < 1:
-            raise OptionError(f"--scenes {self.scenes}: expected at least 1")
+        contract.check_count("scenes", self.scenes)
         if not 1 <= self.blocks <= 12:  # noqa: PLR2004
             raise OptionError(f"--blocks {self.blocks}: expected 1 to 12")
         names = [f"hole{index}" for index in range(len(HOLES))]

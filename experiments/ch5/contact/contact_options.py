@@ -7,7 +7,7 @@ from twin.optics.realism import RealismName
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of ch5-contact.
 
     Attributes:

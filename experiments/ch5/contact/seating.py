@@ -26,7 +26,9 @@ FORCE = 20.0
 Cells = Mapping[tuple[str, float, int], Sequence[SeatingResult]]
 
 
-def measure_seatings(options: contract.Options, realism: RealismName, output: Output) -> None:
+def measure_seatings(
+    options: contract.RepeatedOptions, realism: RealismName, output: Output
+) -> None:
     """Insert the card into guides from every misalignment, in every way.
 
     Args:

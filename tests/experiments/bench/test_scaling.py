@@ -8,7 +8,7 @@ import pytest
 from experiments.__main__ import main
 from experiments.bench import scaling as bench_scaling
 from experiments.bench.scaling import exponent
-from experiments.harness.contract import OptionError, Options
+from experiments.harness.contract import OptionError, RepeatedOptions
 from experiments.harness.output import Output
 from experiments.report.bench_table import BEGIN, END, ROWS, write_between_marks
 from tests.experiments.harness.tiny import CATALOGUE
@@ -24,7 +24,7 @@ def test_a_power_law_s_exponent_is_found():
 def test_a_resumed_sweep_is_timed_anew_and_one_core_has_no_exponent(tmp_path, monkeypatch):
     monkeypatch.setattr(bench_scaling, "free_cores", lambda: 1)
     monkeypatch.setattr(bench_scaling, "SWEPT", 2)
-    options = Options(quick=True, out=tmp_path, resume=True)
+    options = RepeatedOptions(quick=True, out=tmp_path, resume=True)
     kept = []
     for _ in range(2):
         output = Output("bench", options)

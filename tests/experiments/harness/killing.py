@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 from experiments.__main__ import main
-from experiments.harness.contract import Options
+from experiments.harness.contract import RepeatedOptions
 from experiments.harness.output import Output, plain
 from experiments.harness.storage import read_checked
 from experiments.harness.sweep import sweep
@@ -207,7 +207,7 @@ def damage_and_resume(folder, count, rng):
 
 def _swept(configs, folder, resume):
     """Return the results of a sweep as plain values."""
-    options = Options(out=folder, jobs=1, resume=resume)
+    options = RepeatedOptions(out=folder, jobs=1, resume=resume)
     with contextlib.closing(Output("tiny", options)) as output:
         return plain(sweep(tiny.draw, configs, options, output))
 

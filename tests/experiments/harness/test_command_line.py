@@ -1,3 +1,4 @@
+import dataclasses
 import errno
 import json
 import os
@@ -9,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from experiments.__main__ import main
-from experiments.harness.catalogue import EXPERIMENTS
+from experiments.harness.catalogue import COMMANDS, EXPERIMENTS
+from experiments.harness.command_line import parse
 from tests.experiments.harness.tiny import CATALOGUE
 
 
@@ -83,9 +85,12 @@ def test_without_name_experiments_are_listed_without_importing_them(capsys):
         (["tiny", "--scheduler", "tcp://x:1"], "--backend dask"),
         (["tiny", "--fault", "file"], "no such file"),
         (["tinny"], "did you mean tiny?"),
-        (["silent", "--record"], "--record: silent has no recording; these have: tiny"),
-        (["silent", "--live"], "--live: silent has no recording; these have: tiny"),
-        (["nothing-like-it"], "there are tiny, silent, view, drive, doctor, calibrate, report"),
+        (["silent", "--record"], "--record"),
+        (["silent", "--live"], "--live"),
+        (["silent", "--jobs", "2"], "--jobs"),
+        (["silent", "--seeds", "2"], "--seeds"),
+        (["tiny", "--format", "gif"], "Expected one of ('png', 'svg', 'pdf')"),
+        (["nothing-like-it"], "there are tiny, silent, view, drive, doctor, calibrate, truth-"),
         (["doctor", "--deep"], "--deep"),
     ],
 )
@@ -168,11 +173,36 @@ def test_a_disk_that_fills_gives_one_line_and_leaves_the_results_before(tmp_path
     assert not list(folder.glob(".partial*"))
 
 
-def test_help_lists_units_and_ends_with_status_0(capsys):
+def test_help_lists_units_an_example_and_the_time_and_ends_with_status_0(capsys):
     with pytest.raises(SystemExit) as stop:
         call("tiny", "--help")
     assert stop.value.code == 0
-    assert "[kg]" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert "[kg]" in text and "tiny --mass 2 --seeds 5\n" in text
+    assert "less than a minute, a full one ten minutes on two cores" in text
+
+
+@pytest.mark.parametrize("command", [*EXPERIMENTS.values(), *COMMANDS.values()])
+def test_example_of_each_help_is_accepted(command):
+    words = command.example.split()
+    parse(command, words[: words.index(">")] if ">" in words else words)
+
+
+def test_figures_are_written_for_papers_as_well(tmp_path):
+    assert call("tiny", "--out", tmp_path, "--format", "svg") == 0
+    figures = tmp_path / "tiny" / "figures"
+    assert {path.name for path in figures.iterdir()} == {"figure_2-4.png", "figure_2-4.svg"}
+    assert "<svg" in (figures / "figure_2-4.svg").read_text()
+    assert call("tiny", "--out", tmp_path) == 0
+    assert {path.name for path in figures.iterdir()} == {"figure_2-4.png"}
+
+
+def test_a_run_ends_with_what_to_look_at_next(tmp_path, capsys):
+    assert call("tiny", "--out", tmp_path, "--record") == 0
+    *_, recording, rest = capsys.readouterr().out.splitlines()
+    assert recording == f"next: rerun {tmp_path}/tiny/run.rrd shows the recording"
+    assert rest.startswith(f"next: look at {tmp_path}/tiny/figures/figure_2-4.png, or ")
+    assert f"report --out {tmp_path} " in rest
 
 
 def test_help_and_list_import_no_simulator():
@@ -192,3 +222,18 @@ print(sorted({"mujoco", "numba", "rerun", "cv2", "matplotlib"} & set(sys.modules
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
     )
     assert done.stdout.count("--help") > len(EXPERIMENTS) and done.stderr == "[]\n"
+
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize("experiment", EXPERIMENTS.values(), ids=EXPERIMENTS.keys())
+@pytest.mark.parametrize(
+    ("option", "use"), [("record", "options.record"), ("jobs", "sweep("), ("seeds", "_seeds")]
+)
+def test_an_option_is_offered_where_it_does_something_and_only_there(experiment, option, use):
+    module = (ROOT / experiment.module.replace(".", "/")).with_suffix(".py")
+    parts = module.parent.glob("*.py") if experiment.name == "bench" else [module]
+    used = any(use in part.read_text() for part in parts)
+    offered = {field.name for field in dataclasses.fields(experiment.options_type())}
+    assert (option in offered) == used

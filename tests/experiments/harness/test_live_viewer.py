@@ -11,13 +11,11 @@ import time
 import urllib.error
 import urllib.parse
 import urllib.request
-from pathlib import Path
 
 import pytest
 from rerun.chunk import RrdReader
 
 from experiments.harness import live_viewer
-from experiments.harness.catalogue import EXPERIMENTS
 from experiments.harness.live_viewer import LiveViewer
 from tests.experiments import browser
 from twin.recording.record import Recorder
@@ -236,12 +234,3 @@ def test_an_experiment_is_shown_until_ctrl_c_and_its_results_are_there(tmp_path)
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE) == 0
         assert not any(map(listens, ports(url)))
-
-
-ROOT = Path(__file__).parents[3]
-
-
-@pytest.mark.parametrize("experiment", EXPERIMENTS.values(), ids=EXPERIMENTS.keys())
-def test_the_catalogue_says_truly_who_records(experiment):
-    module = (ROOT / experiment.module.replace(".", "/")).with_suffix(".py").read_text()
-    assert experiment.records == ("options.record" in module and '"run.rrd"' in module)

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from experiments.harness import output as output_module
 from experiments.harness import provenance
 from experiments.harness.catalogue import EXPERIMENTS
-from experiments.harness.contract import ExperimentError, Options
+from experiments.harness.contract import ExperimentError, Options, RepeatedOptions
 from experiments.harness.output import Output, plain
 from experiments.harness.summary import print_summary
 
@@ -174,10 +174,10 @@ def test_plain_takes_paths_and_dataclasses():
 
 
 def test_more_repetitions_extend_the_seeds_and_leave_the_first():
-    few, many = Options(seeds=3).job_seeds(50, 5), Options().job_seeds(50, 5)
+    few, many = RepeatedOptions(seeds=3).job_seeds(50, 5), RepeatedOptions().job_seeds(50, 5)
     assert many[:3] == few and len(set(many)) == 50
-    assert len(Options(quick=True).job_seeds(50, 5)) == 5
-    assert Options(seed=1).job_seeds(50, 5) != many
+    assert len(RepeatedOptions(quick=True).job_seeds(50, 5)) == 5
+    assert RepeatedOptions(seed=1).job_seeds(50, 5) != many
 
 
 def test_terminal_shows_units_in_brackets(output, capsys):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from experiments.harness import sweep as sweep_module
-from experiments.harness.contract import ExperimentError, Options
+from experiments.harness.contract import ExperimentError, RepeatedOptions
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from tests.experiments.harness.tiny import Part, draw
@@ -22,7 +22,7 @@ def configs(folder, count, fatal=-1):
 
 
 def go(folder, jobs_list, **options):
-    run = Options(out=folder, **options)
+    run = RepeatedOptions(out=folder, **options)
     with contextlib.closing(Output("tiny", run)) as output:
         return sweep(draw, jobs_list, run, output)
 
@@ -115,7 +115,7 @@ def test_what_a_killed_run_was_writing_is_taken_away(tmp_path):
 
 def test_a_job_that_wrote_a_file_for_its_run_runs_again_for_the_next(tmp_path):
     for _ in range(2):
-        run = Options(out=tmp_path, jobs=1, resume=True)
+        run = RepeatedOptions(out=tmp_path, jobs=1, resume=True)
         output = Output("tiny", run)
         sweep(write_file, [str(output.file("run.rrd"))], run, output)
         output.finish()
@@ -166,7 +166,7 @@ def test_missing_dask_is_reported_in_one_error(tmp_path, monkeypatch):
 
 def test_results_are_never_pickled(tmp_path):
     with pytest.raises(TypeError, match="objects"):
-        run = Options(out=tmp_path, jobs=1)
+        run = RepeatedOptions(out=tmp_path, jobs=1)
         sweep(objects, [{"a": 1}], run, Output("tiny", run))
     assert not list(Path(tmp_path / "tiny" / "jobs").glob("*.npz"))
 

@@ -104,13 +104,16 @@ CATALOGUE = {
         summary="a tiny experiment",
         thesis="Table 0",
         module="tests.experiments.harness.tiny",
-        records=True,
+        example="--mass 2 --seeds 5",
+        full="ten minutes",
     ),
     "silent": Experiment(
         name="silent",
-        summary="one without a recording",
+        summary="one without sweep and recording",
         thesis="Table 0",
         module="tests.experiments.harness.tiny",
+        example="--seed 1",
+        options="tests.experiments.harness.silent_options",
     ),
 }
 

@@ -7,7 +7,7 @@ from experiments.harness.contract import OptionError
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.Options):
+class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """Options of the tiny experiment.
 
     Attributes:

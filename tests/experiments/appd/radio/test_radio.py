@@ -92,5 +92,3 @@ def test_experiment_measures_what_it_promises(tmp_path, monkeypatch):
 def test_bad_options_are_refused():
     with pytest.raises(OptionError, match="--delay: expected 0 to 0.05 s, got 1.0"):
         appd_radio.Options(delay=1.0)
-    with pytest.raises(OptionError, match="--robot serial:/dev/x"):
-        appd_radio.Options(robot="serial:/dev/x")

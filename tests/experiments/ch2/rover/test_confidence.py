@@ -8,7 +8,7 @@ import pytest
 
 from controllers.identification.pitch import NAMES
 from experiments.ch2.rover.confidence import RobotIdentification, measure_confidence
-from experiments.harness.contract import Options
+from experiments.harness.contract import RepeatedOptions
 from experiments.harness.output import Output
 
 TRUTH = np.array([0.07, 0.05, 0.1, 1.5, 300.0])
@@ -22,7 +22,7 @@ def off_by(deviations, doubts=(), robot="rover1"):
 @pytest.fixture
 def measured(tmp_path):
     def measure(found):
-        output = Output("tiny", Options(out=tmp_path))
+        output = Output("tiny", RepeatedOptions(out=tmp_path))
         measure_confidence(found, output)
         output.finish()
         return json.loads((output.directory / "metrics.json").read_text())["measured"]

@@ -24,7 +24,7 @@ from experiments.ch3.motion.cooperative_rendered import (
     triangulate_rendered,
 )
 from experiments.ch3.motion.scores import Triangulated
-from experiments.harness.contract import Options
+from experiments.harness.contract import RepeatedOptions
 from experiments.harness.output import Output
 
 
@@ -62,7 +62,7 @@ def test_points_are_as_certain_as_they_say(drawn, case):
 
 
 def test_failures_are_counted_and_checks_made(tmp_path):
-    output = Output("cooperation", Options(out=tmp_path))
+    output = Output("cooperation", RepeatedOptions(out=tmp_path))
     runs = [
         Triangulated({"single": 10.0, "bundle_6": 4.0}, {"single": np.nan, "bundle_6": 3.0}),
         Triangulated({"single": 12.0, "bundle_6": np.inf}, {"single": np.nan, "bundle_6": np.nan}),
@@ -95,7 +95,7 @@ def test_natural_points_are_matched_across_two_robots_and_better_than_by_one(ren
 
 @pytest.mark.slow
 def test_run_measures_what_the_contract_names(tmp_path, rendered, monkeypatch):
-    options = Options(out=tmp_path, seeds=2, jobs=1, quick=True)
+    options = RepeatedOptions(out=tmp_path, seeds=2, jobs=1, quick=True)
     real = ch3_cooperative_rendered.sweep
 
     def swept(function, configs, *rest, **named):

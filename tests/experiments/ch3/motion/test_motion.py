@@ -58,7 +58,7 @@ def test_same_seed_same_errors_and_ml_beats_linear():
 @pytest.mark.slow
 def test_run_measures_what_the_contract_names(tmp_path):
     output = Output(
-        "ch3-motion", options := contract.Options(out=tmp_path, seeds=2, jobs=1, quick=True)
+        "ch3-motion", options := contract.RepeatedOptions(out=tmp_path, seeds=2, jobs=1, quick=True)
     )
     measure_motion(options, output)
     output.finish()

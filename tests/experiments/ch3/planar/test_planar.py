@@ -121,8 +121,9 @@ def test_a_picture_is_a_world_with_its_top_far_away(tmp_path):
 def test_thin_walls_survive_shrinking(tmp_path):
     pixels = np.full((800, 800), 255)
     pixels[:, 400:402] = 0
-    world = image_world(picture(tmp_path, pixels), 1)
+    world = image_world(picture(tmp_path, pixels), 1, pixel=0.05)
     assert world.occupied.shape == (200, 200)
+    assert world.grid.columns * world.grid.cell == pytest.approx(800 * 0.05)
     assert world.occupied.any(axis=1).all()
 
 
@@ -220,3 +221,32 @@ def test_a_missing_picture_ends_with_status_2(tmp_path, capsys):
     words = ["ch3-planar", "--world", str(tmp_path / "none.png"), "--out", str(tmp_path)]
     assert main(words) == 2
     assert "No such file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--pixel", "0.1"], "--pixel: needs --world"),
+        (["--fov", "60"], "--fov: needs --world"),
+        (["--depth", "4"], "--depth: needs --world"),
+        (["--world", "plan.png", "--pixel", "0"], "--pixel: expected 0.001 to 100 m"),
+        (["--world", "plan.png", "--pixel", "nan"], "--pixel: expected 0.001 to 100 m"),
+        (["--world", "plan.png", "--fov", "0"], "--fov: expected more than 0"),
+        (["--world", ".", "--seeds", "1"], "--world .: Is a directory"),
+    ],
+)
+def test_what_cannot_be_mapped_is_one_line_and_status_2(words, message, tmp_path, capsys):
+    assert main(["ch3-planar", *words, "--out", str(tmp_path)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and message in error
+
+
+def test_a_large_plan_is_said_to_be_shrunk_and_how_large_its_cells_are(tmp_path, capsys):
+    (seed,) = ch3_planar.Options(seeds=1).job_seeds(1, 1)
+    for size, said in (
+        (60, "60 x 60 cells of 0.05 m\n"),
+        (400, "200 x 200 cells of 0.1 m (shrunk: it has more pixels)\n"),
+    ):
+        plan = picture(tmp_path, np.full((size, size), 255))
+        ch3_planar._examine_plan(ch3_planar.Options(world=plan, pixel=0.05), seed)
+        assert capsys.readouterr().err == f"{plan}: {said}"

@@ -19,7 +19,7 @@ from experiments.ch3.stereo.noise import (
     robust_sigma,
 )
 from experiments.ch3.stereo.scene import RIG, StereoScene, draw_layout, look_at
-from experiments.harness.contract import Options
+from experiments.harness.contract import RepeatedOptions
 from experiments.harness.output import Output
 from models.datasheets import CAMERA
 from perception.stereo.matching import StereoMatcher
@@ -162,7 +162,7 @@ def synthetic(seed: int) -> StereoNoise:
 
 
 def test_report_finds_slope_2_and_unit_nees_of_constant_disparity_noise(tmp_path):
-    output = Output("noise", Options(out=tmp_path))
+    output = Output("noise", RepeatedOptions(out=tmp_path))
     report([synthetic(0), synthetic(1)], output)
     output.finish()
     measured = output.metrics()["measured"]

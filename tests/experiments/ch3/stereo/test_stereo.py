@@ -110,7 +110,7 @@ def test_quick_run_of_the_mapping_writes_figures_recording_points_and_mesh(tmp_p
         (["--parts", "dreams"], "cooperation"),
         (["--scans", "0"], "--scans"),
         (["--parts", "noise", "--record"], "--record"),
-        (["--robot", "dreams"], "available: sim, quantised, emulated"),
+        (["--robot", "dreams"], "Expected one of ('sim', 'quantised', 'emulated')"),
         (["--robot", "emulated", "--parts", "noise"], "add mapping to --parts"),
     ],
 )
