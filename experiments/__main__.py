@@ -89,6 +89,9 @@ def run_experiment(experiment: Experiment, options: Options, arguments: Sequence
             written; if another run has the folder, or the disk refuses to write.
         Exception: What the experiment raised.
     """
+    from experiments.harness.figure_style import use_style  # noqa: PLC0415, matplotlib is slow
+
+    use_style()
     run = experiment.load()
     live = isinstance(options, RecordedOptions) and options.live
     if live:  # What is shown is the recording.

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from experiments.appc.pictures import SIZES, Measured
+from experiments.harness.figure_style import BLUE, GREEN, GREY, ORANGE, RED
 from perception.compression.byte_codes import entropy
 from perception.compression.image_codec import METHODS, coded_bits, compression_ratio
 from perception.compression.image_predictors import residuals
@@ -13,7 +14,7 @@ from perception.geometry.arrays import ByteArray, FloatArray
 
 SHOWN = (2, 5, 8)
 """Predictors whose residuals are drawn."""
-COLOURS = ("tab:blue", "tab:green", "tab:orange", "tab:gray")
+COLOURS = (BLUE, GREEN, ORANGE, GREY)
 
 
 def draw_methods(
@@ -28,7 +29,7 @@ def draw_methods(
         thesis: (10, sizes) mean ratios of the thesis.
         sigma: (10, sizes) deviations of the thesis' ratios.
     """
-    figure = Figure(figsize=(15, 8))
+    figure = Figure(figsize=(15, 8), layout="constrained")
     where = np.arange(len(METHODS))
     width = 0.8 / (len(sets) + 1)
     for column, size in enumerate(SIZES):
@@ -47,9 +48,10 @@ def draw_methods(
         axes.set_xticks(where, [str(method) for method in METHODS])
         axes.set(title=f"{size} x {size} px", xlabel="method", ylabel="compression ratio")
         axes.grid(axis="y", alpha=0.3)
-        if column == 0:
-            axes.legend(fontsize=8, loc="lower left")
-    figure.tight_layout()
+    figure.legend(
+        *figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=4,
+        title="mean ratio, and the standard deviation of the pictures",
+    )  # fmt: skip
     return figure
 
 
@@ -96,8 +98,8 @@ def draw_views(
         (right, correlation, []),
     ):
         for column in range(values.shape[1]):
-            axes.plot(values[:, column], column + offsets, ".", color="tab:gray")
-            axes.plot(np.mean(values[:, column]), column, "D", color="tab:red")
+            axes.plot(values[:, column], column + offsets, ".", color=GREY)
+            axes.plot(np.mean(values[:, column]), column, "D", color=RED)
         axes.set_yticks(range(values.shape[1]), labels + extra)
         axes.invert_yaxis()
         axes.grid(axis="x", alpha=0.3)

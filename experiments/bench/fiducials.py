@@ -47,6 +47,7 @@ from experiments.ch5.marker_scene import (
     marker_cads,
     normal_prior,
 )
+from experiments.harness.figure_style import BLUE, GREEN, ORANGE, SKY
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
@@ -395,7 +396,7 @@ def draw_errors(scores: list[Score]) -> Figure:
     names = list(dict.fromkeys(score.condition for score in scores))
     figure = Figure(figsize=(3.0 * len(names), 6.5), layout="constrained")
     grid = figure.subplots(2, len(names), sharex=True, sharey="row", squeeze=False)
-    colours = dict(zip((*METHODS, OURS_TILT), ("tab:blue", "tab:orange", "tab:green", "tab:cyan")))
+    colours = dict(zip((*METHODS, OURS_TILT), (BLUE, ORANGE, GREEN, SKY)))
     edges = np.linspace(LOWEST["range"], HIGHEST["range"], 6)
     for column, condition in enumerate(names):
         for method, colour in colours.items():

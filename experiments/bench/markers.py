@@ -17,6 +17,7 @@ from experiments.bench.bench_options import Options
 from experiments.bench.fiducials import bench_fiducials
 from experiments.ch3.stereo.scene import HEAD
 from experiments.ch5.marker_scene import MarkerScene, MarkerView, expectation, normal_prior
+from experiments.harness.figure_style import BLUE, ORANGE, RED
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.timing import compare
@@ -304,7 +305,7 @@ def _histograms(laplacian: ImageArray, blurred: ImageArray) -> Figure:
         counts = np.asarray(cv2.calcHist([image], [0], None, [256], [0, 256])).ravel()
         axes.bar(np.arange(256), counts, width=1.0)
         cut = int(np.argmax(counts)) - BELOW_PEAK
-        axes.axvline(cut, color="tab:red", label=f"peak less {BELOW_PEAK}")
+        axes.axvline(cut, color=RED, label=f"peak less {BELOW_PEAK}")
         axes.set(yscale="log", xlabel="grey level", ylabel="pixels", title=name)
         axes.legend()
     return figure
@@ -345,12 +346,12 @@ def _three_points(
     figure = Figure(figsize=(5, 5))
     axes = figure.add_subplot()
     axes.plot(*points.T, "s", color="0.75", label="rim points")
-    axes.plot(*np.array(chosen).T, "o", color="tab:red", label="three of them")
-    axes.add_patch(Circle((x, y), radius, fill=False, color="tab:blue"))
-    axes.plot(x, y, "+", color="tab:blue", label="centre (eq. 5-7)")
+    axes.plot(*np.array(chosen).T, "o", color=RED, label="three of them")
+    axes.add_patch(Circle((x, y), radius, fill=False, color=BLUE))
+    axes.plot(x, y, "+", color=BLUE, label="centre (eq. 5-7)")
     for first, second in ((0, 1), (1, 2)):
         half = 0.5 * (chosen[first] + chosen[second])
-        axes.plot([half[0], x], [half[1], y], ":", color="tab:blue")
+        axes.plot([half[0], x], [half[1], y], ":", color=BLUE)
     axes.set_title(f"radius {radius:.2f} px, bisectors at {np.degrees(turn):.0f} deg", fontsize=9)
     axes.set(xlabel="column, square pixels", ylabel="row", aspect="equal")
     axes.invert_yaxis()
@@ -371,16 +372,14 @@ def _found(
     for column, row, radius, coverage in circles:
         if coverage > LEAST_COVERAGE:
             width = 2.0 * radius * geometry.fx / geometry.fy
-            left.add_patch(
-                Ellipse((column, row), width, 2.0 * radius, fill=False, color="tab:orange")
-            )
+            left.add_patch(Ellipse((column, row), width, 2.0 * radius, fill=False, color=ORANGE))
     _show(right, image, "markers by region growing", around)
     for (column, row), (major, minor), angle in zip(
         found.centres, found.axes, found.angles, strict=True
     ):
         right.add_patch(
             Ellipse((column, row), 2 * major, 2 * minor, angle=float(np.degrees(angle)), fill=False,
-                    color="tab:red")
+                    color=RED)
         )  # fmt: skip
-        right.plot(column, row, "+", color="tab:red")
+        right.plot(column, row, "+", color=RED)
     return figure

@@ -14,6 +14,7 @@ from experiments.appe.arm.inverse_trial import draw_targets
 from experiments.bench.bench_options import Options
 from experiments.bench.loop import SPAN, WHEEL_SPEED
 from experiments.bench.mapping import FINE_BOX, MEMORY, Scene, fast_map, random_view, see
+from experiments.harness.figure_style import BLUE
 from experiments.harness.intervals import distribution
 from experiments.harness.output import Output
 from experiments.harness.provenance import free_cores
@@ -105,10 +106,10 @@ def draw(curves: Mapping[str, Curve]) -> Figure:
         medians = np.array([np.median(seconds) for seconds in curve.times.values()])
         for size, seconds in curve.times.items():
             axes.plot([size] * len(seconds), seconds, ".", color="0.6")
-        axes.plot(sizes, medians, "o", color="tab:blue")
+        axes.plot(sizes, medians, "o", color=BLUE)
         if len(sizes) > 1:
             fit = np.polyfit(np.log(sizes), np.log(medians), 1)
-            axes.plot(sizes, np.exp(np.polyval(fit, np.log(sizes))), color="tab:blue")
+            axes.plot(sizes, np.exp(np.polyval(fit, np.log(sizes))), color=BLUE)
             axes.set_title(f"exponent {np.median(curve.exponents):.2f}")
         axes.set(xscale="log", yscale="log", xlabel=curve.axis, ylabel="time [s]")
         axes.minorticks_off()

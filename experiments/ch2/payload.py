@@ -25,6 +25,7 @@ from controllers.kinematics.serial_chain import SerialChain
 from experiments.ch2.deviations import arm_deviations
 from experiments.ch2.payload_options import Options
 from experiments.harness.contract import ExperimentError
+from experiments.harness.figure_style import RED
 from experiments.harness.intervals import distribution, fraction, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
@@ -355,7 +356,7 @@ def _error_figure(results: Sequence[PayloadRun]) -> Figure:
     for index, (key, label, bound) in enumerate(panels, 1):
         axes = figure.add_subplot(1, 2, index)
         axes.plot(mass, [getattr(result, key) for result in results], "o")
-        axes.axhline(bound, color="tab:red", linestyle="--", label=f"bound {bound:g}")
+        axes.axhline(bound, color=RED, linestyle="--", label=f"bound {bound:g}")
         axes.set(xlabel="mass of the payload [g]", ylabel=label, ylim=(0.0, None))
         axes.legend()
         axes.grid(alpha=0.3)
@@ -364,13 +365,13 @@ def _error_figure(results: Sequence[PayloadRun]) -> Figure:
 
 def _residual_figure(estimate: PayloadEstimate) -> Figure:
     """Draw what one fit leaves of the wrench."""
-    figure = Figure(figsize=(10, 5))
+    figure = Figure(figsize=(10, 5), layout="constrained")
     for index, name in enumerate(("force", "moment")):
         axes = figure.add_subplot(2, 1, index + 1)
         part = estimate.residual[:, 3 * index : 3 * index + 3]
         for axis, column in zip("xyz", part.T, strict=True):
             axes.plot(estimate.times, column, label=f"{name} {axis}")
         axes.set(xlabel="time [s]", ylabel="residual / sensor noise [-]")
-        axes.legend(loc="upper right")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         axes.grid(alpha=0.3)
     return figure

@@ -8,11 +8,10 @@ from matplotlib.figure import Figure
 
 from controllers.insertion.card_inserter import InsertionStage
 from experiments.ch5.insertion_trial import COURSE, STAGES
+from experiments.harness.figure_style import BLUE, COLOURS, ORANGE, RED
 from experiments.harness.intervals import Distribution, error_bars
 from models.datasheets import INCH
 from perception.geometry.arrays import FloatArray, ImageArray
-
-COLOURS = {"optimal": "tab:green", "random": "tab:orange"}
 
 
 def draw_table(
@@ -74,7 +73,7 @@ def draw_pairs(pairs: Mapping[str, tuple[ImageArray, Sequence[FloatArray]]]) -> 
             axes = figure.add_subplot(len(pairs), 2, 2 * row + side + 1)
             _show(axes, pair[side])
             for ellipse in ellipses[side]:
-                axes.plot(*_outline(ellipse), color="tab:red", linewidth=1.2)
+                axes.plot(*_outline(ellipse), color=RED, linewidth=1.2)
             axes.set_title(f"{moment}, {name}", fontsize=10)
     figure.tight_layout()
     return figure
@@ -105,15 +104,15 @@ def draw_course(course: FloatArray, title: str) -> Figure:
     (place, turn), (across, ahead) = figure.subplots(2, 2, sharex=True)
     degree = 180.0 / np.pi
     for axes, column, scale, style, colour, label in (
-        (place, "across", 1e3, "-", "tab:blue", "across, true"),
-        (place, "ahead", 1e3, "-", "tab:orange", "ahead, true"),
-        (place, "seen_across", 1e3, ":", "tab:blue", "across, last seen"),
-        (turn, "turn", degree, "-", "tab:blue", "true"),
-        (turn, "seen_turn", degree, ":", "tab:blue", "last seen"),
+        (place, "across", 1e3, "-", BLUE, "across, true"),
+        (place, "ahead", 1e3, "-", ORANGE, "ahead, true"),
+        (place, "seen_across", 1e3, ":", BLUE, "across, last seen"),
+        (turn, "turn", degree, "-", BLUE, "true"),
+        (turn, "seen_turn", degree, ":", BLUE, "last seen"),
         (across, "force_across", 1.0, "-", "0.7", "measured"),
-        (across, "true_across", 1.0, "-", "tab:red", "true"),
+        (across, "true_across", 1.0, "-", RED, "true"),
         (ahead, "force_ahead", 1.0, "-", "0.7", "measured"),
-        (ahead, "true_ahead", 1.0, "-", "tab:red", "true"),
+        (ahead, "true_ahead", 1.0, "-", RED, "true"),
     ):
         axes.plot(time, scale * columns[column], style, color=colour, label=label)
     place.set_ylabel("from the mouth [mm]")

@@ -8,17 +8,18 @@ from matplotlib.figure import Figure
 
 from experiments.envelope.axes import AXES
 from experiments.envelope.cells import Cell
+from experiments.harness.figure_style import BLUE, GREEN, ORANGE, PURPLE, RED, SKY, YELLOW
 from experiments.harness.intervals import Distribution, error_bars
 
 COLOURS = {
     "whole": "black",
-    "without_identification": "tab:blue",
-    "without_force": "tab:red",
-    "without_replanning": "tab:orange",
-    "without_placement": "tab:green",
-    "without_cooperation": "tab:purple",
-    "without_paths": "tab:brown",
-    "without_panel": "tab:pink",
+    "without_identification": BLUE,
+    "without_force": RED,
+    "without_replanning": ORANGE,
+    "without_placement": GREEN,
+    "without_cooperation": PURPLE,
+    "without_paths": SKY,
+    "without_panel": YELLOW,
 }
 _COLUMNS = 4
 

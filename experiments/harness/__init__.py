@@ -8,6 +8,7 @@
 - `intervals`: medians and fractions with their 95 % intervals.
 - `recording`: recordings for the rerun viewer, and moving pictures.
 - `live_viewer`: a recording shown while it is written; `viewer_page`: the page of that.
+- `figure_style`: the style of figures, and one colour for each method.
 - `timing`: processor time of a function.
 - `provenance`: versions, commit and processor of a run.
 - `summary`: the result of a run on the terminal.

@@ -7,14 +7,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon
 
+from experiments.harness.figure_style import COLOURS, RED
 from experiments.mission.scene import CARD_PLACE, MASTER, SLAVE, draw_scene
 from experiments.mission.trial import MissionResult, MissionTrial, generators
 from models.clutter import Solids
 from models.compose import make_terrain
 from perception.geometry.arrays import ImageArray
 
-COLOURS = {MASTER: (31, 119, 180), SLAVE: (255, 127, 14)}
-"""Colour of each rover's track: red, green, blue."""
+ROLES = {MASTER: "master", SLAVE: "slave"}
 _NAMES = {MASTER: "master", SLAVE: "slave, with the card"}
 
 
@@ -29,7 +29,7 @@ def draw_tracks(trial: MissionTrial, result: MissionResult) -> Figure:
     axes = figure.add_subplot()
     draw_field(axes, trial)
     for robot, track in result.tracks.items():
-        colour = np.array(COLOURS[robot]) / 255.0
+        colour = COLOURS[ROLES[robot]]
         axes.plot(*track.T, color=colour, label=_NAMES[robot])
         axes.plot(*track[0], "o", color=colour)
     points = np.vstack([np.zeros((1, 2)), *result.tracks.values()])
@@ -57,7 +57,7 @@ def draw_field(axes: Axes, trial: MissionTrial) -> None:
     assert panel is not None
     along = 0.5 * panel.size[0] * np.array([np.cos(panel.yaw), np.sin(panel.yaw)])
     ends = np.array([np.array(panel.position) - along, np.array(panel.position) + along])
-    axes.plot(*ends.T, color="tab:red", linewidth=3, label="panel")
+    axes.plot(*ends.T, color=RED, linewidth=3, label="panel")
     axes.plot(*CARD_PLACE[:2], "x", color="black", label="the slave's place")
 
 

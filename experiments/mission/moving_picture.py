@@ -9,8 +9,9 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from experiments.ch5.task_film import scene_picture
+from experiments.harness.figure_style import COLOURS, rgb
 from experiments.harness.recording import write_gif
-from experiments.mission.figures import COLOURS, draw_field
+from experiments.mission.figures import ROLES, draw_field
 from experiments.mission.scene import CARD_PLACE, MASTER, SLAVE
 from experiments.mission.trial import Mission
 from models.card_and_slot.stand import OVERVIEW
@@ -104,7 +105,7 @@ class _FieldMap:
             pixels = (np.array(track) - self._corner) * self._scale
             pixels[:, 1] = _SIDE - pixels[:, 1]
             line = np.rint(pixels).astype(np.int32)
-            colour = COLOURS[name]
+            colour = rgb(COLOURS[ROLES[name]])
             cv2.polylines(picture, [line[:, None]], False, colour, 1, cv2.LINE_AA)
             cv2.circle(picture, tuple(line[-1].tolist()), 5, colour, -1, cv2.LINE_AA)
         return picture

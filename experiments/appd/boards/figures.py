@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from experiments.appd.boards.line import DamagedCalls
 from experiments.appd.boards.live import LoopPace
+from experiments.harness.figure_style import BLUE, ORANGE, RED
 from models.datasheets import PULSE_CLOCK
 from twin.hardware.emulator.amplifier import (
     AmplifierConfig,
@@ -19,7 +20,7 @@ from twin.hardware.emulator.amplifier import (
     pulse_share,
 )
 
-LAWS = {"linear": "tab:blue", "rc": "tab:orange"}
+LAWS = {"linear": BLUE, "rc": ORANGE}
 WHEEL, JOINT = 0, 4  # of the eight motors
 _NEAR_ZERO = 160  # codes shown of the dead band
 _LEAST_CALL = 0.05  # [ms]
@@ -38,10 +39,10 @@ def draw_stops(times: Mapping[str, Sequence[float]], bound: float) -> Figure:
         found = 1e3 * np.minimum(np.asarray(values, dtype=float), 1.3 * bound)
         # Ticks are discrete: separate points that would coincide.
         height = row + np.linspace(-0.25, 0.25, len(found))
-        axes.plot(found, height, "o", markersize=4, alpha=0.7, color="tab:blue")
-        axes.plot([np.median(found)] * 2, [row - 0.35, row + 0.35], color="tab:red")
+        axes.plot(found, height, "o", markersize=4, alpha=0.7, color=BLUE)
+        axes.plot([np.median(found)] * 2, [row - 0.35, row + 0.35], color=RED)
     axes.axvline(1e3 * bound, color="k", linestyle="--", label="timeout and one cycle")
-    axes.plot([], [], color="tab:red", label="median")
+    axes.plot([], [], color=RED, label="median")
     axes.set_yticks(range(len(times)), [name.replace("_", " ") for name in times])
     axes.set(xlabel="from the fault to zero at all eight motors [ms]", xlim=(-5, 1400 * bound))
     axes.invert_yaxis()
@@ -87,7 +88,7 @@ def draw_pace(result: LoopPace, period: float) -> Figure:
         (right, adapter, "adapter in a cycle [ms]"),
     ):
         edges = np.linspace(0.0, max(3e3 * period, float(np.percentile(values, 99.9))), 91)
-        axes.hist(np.minimum(values, edges[-1]), edges, color="tab:blue")
+        axes.hist(np.minimum(values, edges[-1]), edges, color=BLUE)
         axes.axvline(1e3 * period, color="k", linestyle="--", linewidth=0.8)
         axes.set(xlabel=f"{label}; last bar: longer", ylabel="cycles", yscale="log")
         axes.grid(alpha=0.3)
@@ -153,7 +154,7 @@ def _draw_currents(axes: Axes) -> None:
     most = float(card.battery / min(card.motor_constant))
     speeds = np.linspace(-0.5 * most, 1.2 * most, 200)
     for motor, label, style in ((WHEEL, "wheel", "-"), (JOINT, "arm joint", "--")):
-        for spent, colour in ((0.0, "tab:blue"), (card.peak_time, "tab:red")):
+        for spent, colour in ((0.0, BLUE), (card.peak_time, RED)):
             limit = current_limit(np.full(8, spent), card)
             currents = [motor_current(full, np.full(8, v), card, limit)[motor] for v in speeds]
             text = f"{label}, after {spent:g} s above {card.continuous_current:g} A"

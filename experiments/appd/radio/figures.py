@@ -7,16 +7,16 @@ from matplotlib.figure import Figure
 
 from experiments.appd.radio.demo import ROBOTS, Conversation
 from experiments.appd.radio.trial import FATES, LINKS, PooledTrials, RadioTrial
+from experiments.harness.figure_style import BLUE, COLOURS, ORANGE, RED
 
-COLOURS = {"handshake": "tab:red", "framed": "tab:blue"}
-_FATE_COLOURS = {"intact": "0.8", "wrong": "tab:red", "vanished": "tab:orange", "given_up": "0.3"}
+_FATE_COLOURS = {"intact": "0.8", "wrong": RED, "vanished": ORANGE, "given_up": "0.3"}
 _FATE_LABELS = {
     "intact": "intact",
     "wrong": "wrong, not reported",
     "vanished": "vanished, reported as delivered",
     "given_up": "given up, reported to the sender",
 }
-_ROVER_COLOURS = dict(zip(ROBOTS, ("tab:green", "tab:purple")))
+_ROVER_COLOURS = dict(zip(ROBOTS, (BLUE, ORANGE)))
 _SHOWN = 20.0  # [s] of the first trial
 _BLOCK = 100  # ticks over which the line's occupation is averaged
 

@@ -8,12 +8,13 @@ from matplotlib.figure import Figure
 from controllers.braid.bus.circuit import BusCircuit
 from controllers.braid.bus.decoder_chips import Trace
 from experiments.appe.bus.trial import FATES, PROTOCOLS, BusTrial
+from experiments.harness.figure_style import BLUE, GREEN, ORANGE, PURPLE, RED
 
 COLOURS = {
-    "thesis": "tab:red",
-    "parity": "tab:blue",
-    "repeat": "tab:green",
-    "correct": "tab:purple",
+    "thesis": RED,
+    "parity": BLUE,
+    "repeat": GREEN,
+    "correct": PURPLE,
 }
 _FAULTS = {
     "missed": "one pulse missed in each word",
@@ -22,9 +23,9 @@ _FAULTS = {
 }
 _FATE_COLOURS = {
     "right": "0.85",
-    "told": "tab:blue",
-    "skipped": "tab:orange",
-    "wrong": "tab:red",
+    "told": BLUE,
+    "skipped": ORANGE,
+    "wrong": RED,
 }
 _FATE_LABELS = {
     "right": "right",
@@ -49,14 +50,14 @@ def draw_waveform(traces: Mapping[str, Trace], circuit: BusCircuit) -> Figure:
         line.plot(time, trace.line, color="k", linewidth=0.8)
         line.set(title=title, ylabel="power line [V]")
         counter.plot(time, trace.signal, color="0.6", linewidth=0.8, label="divided")
-        counter.plot(time, trace.debounced, color="tab:blue", linewidth=0.9, label="debounced")
+        counter.plot(time, trace.debounced, color=BLUE, linewidth=0.9, label="debounced")
         counter.set(ylabel="to counter [V]")
-        buffer.plot(time, trace.flag, color="tab:orange", linewidth=0.9)
+        buffer.plot(time, trace.flag, color=ORANGE, linewidth=0.9)
         buffer.set(ylabel="to buffer [V]")
         for axes in (counter, buffer):
             thresholds = (circuit.threshold - half, circuit.threshold + half)
-            axes.axhspan(*thresholds, color="tab:red", alpha=0.2)
-        count.step(time, trace.counts, where="post", color="tab:blue")
+            axes.axhspan(*thresholds, color=RED, alpha=0.2)
+        count.step(time, trace.counts, where="post", color=BLUE)
         count.set(ylabel="counter")
         for actuator in np.flatnonzero(trace.words.any(axis=0)):
             ends, on = (actuator + 0.1, actuator + 0.9), trace.words[:, actuator]

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from controllers.braid.arm.stage import STATES
 from experiments.appe.mechanism.bench import BraidBench, make_bench
 from experiments.appe.mechanism.trial import ArmTrial, WordErrors
+from experiments.harness.figure_style import BLUE, GREEN, ORANGE, RED
 from models.braid.build import BraidConfig
 from models.datasheets import BRAID, MUSCLE_WIRE
 from models.render_pictures import Shot, take
@@ -82,11 +83,11 @@ def toggle(course: FloatArray) -> Figure:
         hot.plot(course[:, 0], MUSCLE_WIRE.ambient + course[:, column], label=f"{name} wires")
     hot.axhspan(*MUSCLE_WIRE.austenite, color="0.85", label="austenite starts to finishes")
     hot.set(xlabel="time [s]", ylabel="temperature [degC]")
-    where.plot(course[:, 0], 1e3 * course[:, 3], color="tab:green")
+    where.plot(course[:, 0], 1e3 * course[:, 3], color=GREEN)
     where.set(xlabel="time [s]", ylabel="leg from its middle [mm]")
     force = where.twinx()
-    force.plot(course[:, 0], course[:, 4], color="tab:red", lw=0.8)
-    force.set_ylabel("wires along the leg [N]", color="tab:red")
+    force.plot(course[:, 0], course[:, 4], color=RED, lw=0.8)
+    force.set_ylabel("wires along the leg [N]", color=RED)
     h = BRAID.half_stroke
     x = np.linspace(-1.25 * h, 1.25 * h, 300)
     well.plot(1e3 * x, BRAID.detent * x * (1.0 - (x / h) ** 2))
@@ -106,11 +107,11 @@ def sag(trials: Sequence[ArmTrial], results: Sequence[WordErrors]) -> Figure:
     figure = Figure(figsize=(10, 3.8), layout="tight")
     tip, load = figure.subplots(1, 2)
     for trial, result in zip(trials, results):
-        held, colour = result.wrong == 0, "tab:blue" if trial.head else "tab:orange"
+        held, colour = result.wrong == 0, BLUE if trial.head else ORANGE
         at = np.full(held.sum(), trial.stages + (0.1 if trial.head else -0.1))
         tip.plot(at, 1e3 * result.sag[held], ".", ms=3, color=colour)
         load.plot(at, result.load[held], ".", ms=3, color=colour)
-    for name, colour in (("with head", "tab:blue"), ("without head", "tab:orange")):
+    for name, colour in (("with head", BLUE), ("without head", ORANGE)):
         load.plot([], [], ".", color=colour, label=name)
     load.axhline(1.0, color="0.5", ls="--", lw=0.8, label="a leg switches")
     tip.set(xlabel="stages", ylabel="sag of the tip [mm]", yscale="log")

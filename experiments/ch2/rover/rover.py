@@ -29,6 +29,7 @@ from experiments.ch2.rover.trial import (
     rover_config,
     run_rover_trial,
 )
+from experiments.harness.figure_style import COLOURS
 from experiments.harness.intervals import distribution, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.robot_option import check_calibrations
@@ -52,7 +53,6 @@ Results = dict[str, list[RoverIdentification]]
 Truths = Sequence[Mapping[str, float]]
 """Laboratory values of each seed's robot, in the order of every excitation's trials."""
 
-COLOURS = {"constant": "tab:red", "information": "tab:blue"}
 THESIS_COLUMN = {"constant": 0, "information": 1}
 
 

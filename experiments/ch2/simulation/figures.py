@@ -16,11 +16,10 @@ from experiments.ch2.simulation.results import (
     shown_group,
 )
 from experiments.ch2.simulation.trial import PlantIdentification
+from experiments.harness.figure_style import COLOURS, plain_name
 from experiments.harness.output import Output
 from perception.geometry.arrays import FloatArray
 
-COLOURS = {"ours": "#1b6ca8", "kalman": "#c2571a", "pseudo_inverse": "#7a7a7a"}
-EXCITATION_COLOURS = {"constant": "#c2571a", "information": "#1b6ca8"}
 CONVERGENCE = ("ry", "rz", "mass", "ixx", "by", "k_pitch", "ky")
 """The parameters of Thesis fig. 2-7, in its order."""
 TITLES = {
@@ -71,11 +70,11 @@ def draw_information(groups: Results, noise: str) -> Figure:
     ax = figure.subplots()
     index = NAMES.index("k_pitch")
     for excitation in excitations(groups, noise):
-        if excitation not in EXCITATION_COLOURS:
+        if excitation not in COLOURS:
             continue
         trials = groups[noise, excitation]
         bits = np.array([trial.bits[:, index] for trial in trials])
-        colour = EXCITATION_COLOURS[excitation]
+        colour = COLOURS[excitation]
         _band(ax, _times(trials[0]), bits, colour, f"{excitation} excitation")
     ax.set(xlabel="time [s]", ylabel="mutual information [bit]", ylim=(0, None))
     ax.set_title(f"Information on the stiffness about the pitch axis, {noise} noise")
@@ -92,9 +91,9 @@ def draw_convergence(trials: list[PlantIdentification], excitation: str) -> Figu
     times = _times(trials[0])
     for name, ax in zip(CONVERGENCE, axes):
         index = NAMES.index(name)
-        for estimator, label in (("kalman", "Kalman filter"), ("ours", "ours")):
+        for estimator in ("kalman", "ours"):
             paths = np.array([trial.histories[estimator][:, index] for trial in trials])
-            _band(ax, times, paths, COLOURS[estimator], label)
+            _band(ax, times, paths, COLOURS[estimator], plain_name(estimator))
         truths = {float(trial.truth[index]) for trial in trials}
         for truth in truths if len(truths) == 1 else ():
             ax.axhline(truth, color="black", linestyle="--", linewidth=1, label="true")
@@ -124,11 +123,14 @@ def draw_overview(groups: Results) -> Figure:
             )  # fmt: skip
             for box in boxes["boxes"]:
                 box.set(facecolor=COLOURS[estimator], alpha=0.75)
-            ax.plot([], [], color=COLOURS[estimator], linewidth=6, label=estimator)
+            ax.plot([], [], color=COLOURS[estimator], linewidth=6, label=plain_name(estimator))
         ax.set_xticks(range(len(names)), [name.replace("_", "\n") for name in names])
         ax.set(yscale="log", ylabel="average error [%]", title=f"{noise} noise")
         ax.grid(axis="y", which="both", alpha=0.25)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3,
+        title="box: middle half of the runs, whiskers: 1.5 times as far",
+    )  # fmt: skip
     return figure
 
 

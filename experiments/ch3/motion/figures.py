@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from experiments.ch3.motion.scores import Followed, Triangulated
+from experiments.harness.figure_style import ORANGE, SKY
 from perception.geometry.arrays import FloatArray
 
 LABELS = {
@@ -75,8 +76,8 @@ def tracking_figure(
     for index, (axes, image, previous, following) in enumerate(views):
         axes.imshow(image, cmap="gray", vmin=0, vmax=255)
         for points, marker, size, colour in (
-            (previous, "s", 11, "tab:orange"),
-            (following, "o", 15, "tab:cyan"),
+            (previous, "s", 11, ORANGE),
+            (following, "o", 15, SKY),
         ):
             if len(points):
                 style = {"markersize": size, "markeredgecolor": colour, "markeredgewidth": 1.6}

@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 
 from experiments.ch3.planar.trial import TARGET, PlanarRun
 from experiments.ch3.planar.worlds import World
+from experiments.harness.figure_style import COLOURS, plain_name
 from experiments.harness.output import Output
 from perception.geometry.arrays import FloatArray
 from perception.planar.map import Grid
 from perception.planar.raycast import RangeSensor
 from perception.voxels.occupancy import State
 
-GREYS = {State.UNKNOWN: 1.0, State.FREE: 0.65, State.OCCUPIED: 0.0}
-"""The thesis' shades: grey is empty, black is obstacle, white is unknown."""
+GREYS = {State.UNKNOWN: 0.65, State.FREE: 1.0, State.OCCUPIED: 0.0}
+"""Shades of all our maps; the thesis has grey for free and white for unknown."""
 FIGURES = {
     "unstructured": ("figure_3-12", "figure_3-13", "figure_3-14", "figure_3-15"),
     "unstructured_two": (None, "figure_3-16", "figure_3-17", "figure_3-18"),
@@ -98,14 +99,15 @@ def curve_figure(runs: MethodRuns) -> Figure:
             curves = [getattr(run, key) for run in chosen]
             rows = np.array([np.pad(row, (0, longest - len(row)), "edge") for row in curves])
             scans = np.arange(1, longest + 1)
-            line = axes.plot(scans, np.median(rows, axis=0), label=method)[0]
+            colour = COLOURS[method]
+            axes.plot(scans, np.median(rows, axis=0), color=colour, label=plain_name(method))
             low, high = np.percentile(rows, BAND, axis=0)
-            axes.fill_between(scans, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
+            axes.fill_between(scans, low, high, color=colour, alpha=0.15, linewidth=0)
     left.axhline(TARGET, color="k", linewidth=0.6, linestyle=":")
     left.set(ylabel="fraction mapped", ylim=(0.0, 1.0))
     right.set(ylabel="distance moved, all robots [m]")
     right.set_yscale("symlog", linthresh=100.0)
-    left.legend(fontsize=8)
+    left.legend(loc="lower right", title="median and middle half")
     for axes in (left, right):
         axes.set_xlabel("scan number of each robot")
         axes.grid(alpha=0.3)
@@ -121,7 +123,7 @@ def path_figure(shown: Mapping[str, PlanarRun], world: World) -> Figure:
             for cells, style, width in ((run.paths, "-", 0.8), (run.stops, ".", 0.0)):
                 x, y = world.grid.centre(cells[cells[:, 0] == robot, 1:]).T
                 axes.plot(x, y, style, color=colour, linewidth=width, markersize=3)
-        axes.set_title(f"{method}, {run.metres[-1]:.0f} m")
+        axes.set_title(f"{plain_name(method)}, {run.metres[-1]:.0f} m")
     return figure
 
 
@@ -130,7 +132,7 @@ def map_figure(shown: Mapping[str, PlanarRun], world: World) -> Figure:
     figure, grid = _pictures([shades(run.states) for run in shown.values()], world)
     for axes, (method, run) in zip(grid, shown.items(), strict=True):
         mapped, scans = run.fraction[-1], len(run.fraction)
-        axes.set_title(f"{method}: {mapped:.0%} after {scans} scans")
+        axes.set_title(f"{plain_name(method)}: {mapped:.0%} after {scans} scans")
     return figure
 
 

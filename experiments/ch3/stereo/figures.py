@@ -8,11 +8,11 @@ from numpy.typing import NDArray
 
 from controllers.mapping.stereo_view import StereoView
 from experiments.ch3.stereo.scene import StereoScene, left_name, look_at
+from experiments.harness.figure_style import COLOURS
 from perception.geometry.arrays import FloatArray
 from perception.stereo.geometry import StereoGeometry
 from twin.camera import renderer
 
-_COLOURS = {"information": "tab:blue", "raster": "tab:orange", "random": "tab:green"}
 _PANORAMA = (720, 300)
 """Columns over all azimuths, rows from 75 degrees below the horizon to 75 above."""
 
@@ -41,13 +41,13 @@ def growth_figure(curves: Mapping[str, FloatArray]) -> Figure:
         for method, runs in curves.items():
             values = runs[:, :, column]
             views = np.arange(1, values.shape[1] + 1)
-            colour = _COLOURS[method]
+            colour = COLOURS[method]
             axes.plot(views, np.median(values, axis=0), color=colour, label=method)
             low, high = values.min(axis=0), values.max(axis=0)
             axes.fill_between(views, low, high, color=colour, alpha=0.15)
         axes.set(xlabel="scans of both robots", ylabel=label, ylim=(0.0, None))
         axes.grid(alpha=0.3)
-    figure.axes[0].legend(title="median and range of the scenes")
+    figure.axes[0].legend(loc="lower right", title="median and range of the scenes")
     return figure
 
 

@@ -17,10 +17,10 @@ from experiments.ch4.montecarlo.scenario import (
     draw_worlds,
 )
 from experiments.ch4.montecarlo.trial import PLACEMENTS, TARGETS, draw_chance, guide
+from experiments.harness.figure_style import BLUE, COLOURS, GREEN, PURPLE, RED
 from experiments.harness.intervals import fraction
 from perception.geometry.arrays import FloatArray
 
-COLOURS = {"optimal": "tab:blue", "random": "tab:orange", "fixed": "tab:red"}
 SHOWN = 1
 """Index of the density whose world is drawn."""
 
@@ -83,9 +83,9 @@ def track_figure(seed: int) -> Figure:
         )
         axes.set(xlabel="x [m]", ylabel="y [m]" if p == 0 else "")
     lines: list[Any] = [
-        Line2D([], [], color="tab:blue", label="camera, primary seen"),
-        Line2D([], [], color="tab:green", label="camera, secondary seen"),
-        Line2D([], [], color="tab:red", linestyle="", marker="x", label="camera, nothing seen"),
+        Line2D([], [], color=BLUE, label="camera, primary seen"),
+        Line2D([], [], color=GREEN, label="camera, secondary seen"),
+        Line2D([], [], color=RED, linestyle="", marker="x", label="camera, nothing seen"),
         Rectangle((0, 0), 1, 1, color="0.88", label="no camera here"),
     ]
     figure.legend(handles=lines, loc="lower center", ncols=4, frameon=False)
@@ -101,7 +101,7 @@ def _draw_world(axes: Any, world: ObstacleWorld) -> None:
     axes.add_patch(Rectangle((-0.5 * width - 0.03, -0.04), width + 0.06, 0.04, color="k"))
     for gap, alpha in ((SCENARIO.start, 0.25), (0.01, 0.7)):
         place = (-0.5 * width, gap)
-        axes.add_patch(Rectangle(place, width, SCENARIO.length, color="tab:purple", alpha=alpha))
+        axes.add_patch(Rectangle(place, width, SCENARIO.length, color=PURPLE, alpha=alpha))
     axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal")
 
 
@@ -110,8 +110,8 @@ def _draw_track(axes: Any, track: FloatArray) -> None:
     side = 0.5 * SCENARIO.width + SCENARIO.ear
     for gap, x, y, seen, *_ in track:
         if seen == 0:
-            axes.plot(x, y, "x", color="tab:red", markersize=6)
+            axes.plot(x, y, "x", color=RED, markersize=6)
             continue
-        colour, goal = ("tab:blue", side) if seen == 1 else ("tab:green", -side)
+        colour, goal = (BLUE, side) if seen == 1 else (GREEN, -side)
         axes.plot([x, goal], [y, 0.5 * gap], color=colour, linewidth=0.6)
         axes.plot(x, y, "o", color=colour, markersize=4)

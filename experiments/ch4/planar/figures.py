@@ -17,11 +17,12 @@ from controllers.placement.planar.search import PlanarTask, best_view, rating_fi
 from controllers.placement.task import Target, View
 from experiments.ch4.planar.motion import MappedSite, Moment
 from experiments.ch4.planar.scenes import SIDE
+from experiments.harness.figure_style import BLUE, GREEN, GREY, ORANGE, RED
 from experiments.harness.recording import write_gif
 from perception.geometry.arrays import FloatArray
 
 EXTENT = (0.0, float(SIDE), 0.0, float(SIDE))
-COLOURS = {"primary": "tab:red", "secondary": "tab:blue"}
+COLOURS = {"primary": RED, "secondary": BLUE}
 FRAME, HOLD = 250, 2000
 """Duration of a picture of the film, and of the last one [ms]."""
 SOFT = 0.4
@@ -42,7 +43,7 @@ def draw_hull_cost(distances: FloatArray, angles: FloatArray) -> Figure:
     left.plot(distances, degrees[:, 1], "--", label=r"expanded, $\beta_2-\beta_1$")
     left.set(ylabel="occluded angle [deg]")
     left.legend()
-    right.plot(distances, degrees[:, 1] - degrees[:, 0], color="tab:green")
+    right.plot(distances, degrees[:, 1] - degrees[:, 0], color=GREEN)
     right.set(ylabel="given up by the hull [deg]", ylim=(0.0, None))
     for axes in (left, right):
         axes.set(xscale="log", xlabel="occluder's distance from the target [m]")
@@ -61,7 +62,7 @@ def draw_searches(rows: Sequence[Sequence[Any]], names: Sequence[str]) -> Figure
     table = np.array(rows, dtype=float)
     figure = Figure(figsize=(6, 4))
     axes = figure.add_subplot()
-    for name, colour in (("exhaustive_s", "tab:gray"), ("fast_s", "tab:red")):
+    for name, colour in (("exhaustive_s", GREY), ("fast_s", RED)):
         place = 1 + list(names).index(name)
         for at, density in enumerate(np.unique(table[:, 0])):
             times = 1e6 * table[table[:, 0] == density, place]
@@ -90,7 +91,7 @@ def draw_instances(tasks: Sequence[PlanarTask]) -> Figure:
         rated = figure.add_subplot(len(tasks), 2, 2 * row + 2)
         image = rated.imshow(field, cmap="gray_r", norm=norm, origin="lower", extent=EXTENT)
         for occluder in task.occluders:
-            rated.fill(*occluder.points.T, fill=False, edgecolor="tab:green")
+            rated.fill(*occluder.points.T, fill=False, edgecolor=GREEN)
         for axes in (world, rated):
             _draw_targets(axes, task.targets)
             _draw_view(axes, task, view)
@@ -106,11 +107,11 @@ def draw_site(site: MappedSite, first: Moment) -> Figure:
     """Draw the world and its map after few scans (figure 4-10)."""
     figure = Figure(figsize=(10, 5))
     maps = (site.world.occupied, site.mapped.probability)
-    titles = ("world", "map, brighter is more surely occupied")
+    titles = ("world", "map, darker is more surely occupied")
     for place, (title, values) in enumerate(zip(titles, maps)):
         axes = figure.add_subplot(1, 2, place + 1)
-        axes.imshow(values, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=EXTENT)
-        axes.fill(*first.panel.T, fill=False, edgecolor="tab:orange")
+        axes.imshow(1.0 - values, cmap="gray", vmin=0.0, vmax=1.0, origin="lower", extent=EXTENT)
+        axes.fill(*first.panel.T, fill=False, edgecolor=ORANGE)
         _draw_targets(axes, first.task.targets)
         axes.set_title(title)
         _frame(axes)
@@ -126,7 +127,7 @@ def draw_steps(site: MappedSite, moments: Sequence[Moment]) -> Figure:
     for place, step in enumerate(steps):
         axes = figure.add_subplot(1, 3, place + 1)
         _draw_moment(axes, site, moments, step)
-        axes.set_title(f"({'abc'[place]}) {axes.get_title()}", fontsize=9)
+        axes.set_title(f"({'abc'[place]}) {axes.get_title()}", fontsize="small")
     figure.tight_layout()
     return figure
 
@@ -135,9 +136,9 @@ def write_film(site: MappedSite, moments: Sequence[Moment], path: Path) -> None:
     """Write the approach as a moving picture."""
     frames: list[Image.Image] = []
     for step in range(len(moments)):
-        figure = Figure(figsize=(4.4, 4.6), dpi=90)
+        figure = Figure(figsize=(4.6, 4.6), dpi=90)
         _draw_moment(figure.add_subplot(), site, moments, step)
-        figure.subplots_adjust(0.1, 0.06, 0.98, 0.93)
+        figure.subplots_adjust(0.12, 0.1, 0.98, 0.94)
         stream = io.BytesIO()
         FigureCanvasAgg(figure).print_png(stream)
         frames.append(Image.open(stream).convert("RGB"))
@@ -151,16 +152,16 @@ def _draw_moment(axes: Axes, site: MappedSite, moments: Sequence[Moment], step: 
         1.0 - moment.task.space.probability, cmap="gray", vmin=0.0, vmax=1.0, origin="lower",
         extent=EXTENT,
     )  # fmt: skip
-    axes.fill(*moment.panel.T, fill=False, edgecolor="tab:orange", linewidth=1.5)
-    axes.plot(*moment.task.occluders[-1].points.T, ",", color="tab:orange")
+    axes.fill(*moment.panel.T, fill=False, edgecolor=ORANGE, linewidth=1.5)
+    axes.plot(*moment.task.occluders[-1].points.T, ",", color=ORANGE)
     _draw_targets(axes, moment.task.targets)
     trail = [m.view.position for m in moments[: step + 1] if m.view is not None]
     if trail:
-        axes.plot(*np.array(trail).T, ":", color="tab:green", linewidth=1.2)
+        axes.plot(*np.array(trail).T, ":", color=GREEN, linewidth=1.2)
     if moment.view is not None:
         _draw_view(axes, moment.task, moment.view)
     watched = "nothing" if moment.view is None else f"the {moment.view.target} target"
-    axes.set_title(f"step {step}: watches {watched}", fontsize=9)
+    axes.set_title(f"step {step}: watches {watched}", fontsize="small")
     _frame(axes)
 
 
@@ -180,10 +181,10 @@ def _draw_view(axes: Axes, task: PlanarTask, view: View) -> None:
     half = 0.5 * task.lens.field_of_view
     bearings = angle + np.linspace(-half, half, 16)
     edge = view.position + view.distance * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
-    axes.fill(*np.vstack([view.position, edge]).T, color="tab:green", alpha=0.25)
-    axes.plot(*view.position, "o", color="tab:green", markersize=6)
+    axes.fill(*np.vstack([view.position, edge]).T, color=GREEN, alpha=0.25)
+    axes.plot(*view.position, "o", color=GREEN, markersize=6)
 
 
 def _frame(axes: Axes) -> None:
-    axes.set(xlim=EXTENT[:2], ylim=EXTENT[2:], aspect="equal")
+    axes.set(xlim=EXTENT[:2], ylim=EXTENT[2:], aspect="equal", xlabel="x [m]", ylabel="y [m]")
     axes.tick_params(labelsize=7)

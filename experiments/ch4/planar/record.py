@@ -9,6 +9,7 @@ import rerun.blueprint as rrb
 
 from controllers.placement.planar.search import rating_field
 from experiments.ch4.planar.motion import STEP, MappedSite, Moment
+from experiments.harness.figure_style import BLUE, RED, rgb
 from experiments.harness.recording import closed, recording, viridis
 from perception.geometry.arrays import FloatArray
 from twin.recording.layout import side_by_side
@@ -17,7 +18,7 @@ SPACING = 2.0
 """Distance between the rated positions that are shown [m]."""
 SPEED = 1.0
 """Speed of the panel on the recording's time line [m/s]."""
-COLOURS = {"primary": (220, 40, 40), "secondary": (0, 120, 220)}
+COLOURS = {"primary": rgb(RED), "secondary": rgb(BLUE)}
 GREEN, ORANGE, GREY = (60, 160, 60), (240, 150, 0), (150, 150, 150)
 
 

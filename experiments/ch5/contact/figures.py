@@ -12,6 +12,7 @@ from controllers.insertion.guide import Phase
 from experiments.ch5.contact.bench import shape_of
 from experiments.ch5.contact.seating_trial import WAYS, SeatingResult
 from experiments.ch5.contact.trial import InsertionResult
+from experiments.harness.figure_style import GREEN, RED
 from experiments.harness.intervals import error_bars, success_fraction
 from models.datasheets import DEGREE, INCH
 from perception.geometry.arrays import FloatArray
@@ -59,15 +60,15 @@ def draw_states(width: float) -> Figure:
 def _draw_state(axes: Axes, shape: CardInSlot, pose: FloatArray, state: int) -> None:
     for wall in wall_outlines(shape):
         axes.fill(*(1e3 * wall.T), color="0.75")
-    axes.fill(*(1e3 * card_outline(shape, pose).T), color="tab:green", alpha=0.35)
+    axes.fill(*(1e3 * card_outline(shape, pose).T), color=GREEN, alpha=0.35)
     rotation = turn(pose[2])
     for contact in contacts_of(shape, pose, state, 1):
         at = 1e3 * (pose[:2] + rotation @ contact.point)
         angle = math.atan(shape.friction)
         for sign, style in ((-1, ":"), (0, "-"), (1, ":")):
             tip = at + 28.0 * (rotation @ turn(sign * angle) @ contact.normal)
-            axes.plot([at[0], tip[0]], [at[1], tip[1]], style, color="tab:red", linewidth=1.5)
-        axes.plot(*at, "o", color="tab:red", markersize=4)
+            axes.plot([at[0], tip[0]], [at[1], tip[1]], style, color=RED, linewidth=1.5)
+        axes.plot(*at, "o", color=RED, markersize=4)
     axes.set(aspect="equal", xlim=(-95, 95), ylim=(-75, 50), xticks=[], yticks=[])
     axes.set_title(f"State {state}: {CAPTIONS[state]}", fontsize=9)
 
