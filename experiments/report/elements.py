@@ -69,5 +69,5 @@ def _state(element: Element, results: Sequence[Result], known: Collection[str]) 
     if name not in known:
         return f'<td class="fail">this version has no {escape(name)} yet</td>'
     if name in there:
-        return f'<td class="fail">not in this run of {link(name, name)}</td>'
-    return f'<td class="fail">not run: <code>python -m experiments {escape(name)}</code></td>'
+        return f"<td>not in this run of {link(name, name)}</td>"
+    return f"<td>not run: <code>python -m experiments {escape(name)}</code></td>"

@@ -11,6 +11,12 @@ from experiments.report.results import Result
 LONG = 24  # characters of a cell; longer ones are broken into lines
 LONGEST = 200  # characters; what is longer is cut, the files have it all
 WIDE = 10  # columns of a table; with more it is printed small
+UNITS = {
+    "percent": "%", "fraction": "-", "mm": "mm", "mm2": "mm^2", "m": "m", "metres": "m",
+    "deg": "deg", "mrad": "mrad", "s": "s", "ms": "ms", "us": "us", "hz": "Hz", "n": "N", "N": "N",
+    "kg": "kg", "g": "g", "px": "px", "bytes": "bytes", "bits": "bit",
+}  # fmt: skip
+"""Units behind the names of metrics."""
 _LOCAL = {"--out": True, "--jobs": True, "--scheduler": True, "--backend": True, "--resume": False}
 """Options that change no result, and whether a word follows them."""
 
@@ -39,6 +45,19 @@ def numbers(cells: Sequence[str]) -> str:
 def cut(text: str) -> str:
     """Return a text, cut where it is too long to be read in a table."""
     return text if len(text) <= LONGEST else f"{text[:LONGEST].rstrip()} ..."
+
+
+def plain_key(key: str) -> str:
+    """Return a metric's name in words, with its unit in brackets.
+
+    Args:
+        key: Name as in metrics.json, for instance ``sag_mm/5/no_head``.
+    """
+    quantity, *parts = key.split("/")
+    words = quantity.split("_")
+    if len(words) > 1 and words[-1] in UNITS:
+        words[-1] = f"[{UNITS[words[-1]]}]"
+    return ", ".join([" ".join(words), *(part.replace("_", " ") for part in parts)])
 
 
 def check_cells(check: dict[str, Any]) -> str:

@@ -28,11 +28,12 @@ class Embedded:
     height: int
 
 
-def embed(path: Path) -> Embedded:
+def embed(path: Path, width: int = WIDTH) -> Embedded:
     """Return a picture as WebP, or as it is where that is smaller.
 
     Args:
         path: PNG file.
+        width: Width to which wider ones are reduced [px].
 
     Raises:
         OSError: If it is no picture, or a larger one than is read.
@@ -43,9 +44,9 @@ def embed(path: Path) -> Embedded:
     raw = path.read_bytes()
     with Image.open(io.BytesIO(raw)) as picture:
         small = _on_white(picture)
-    if small.width > WIDTH:
+    if small.width > width:
         small = small.resize(
-            (WIDTH, round(small.height * WIDTH / small.width)), Image.Resampling.LANCZOS
+            (width, round(small.height * width / small.width)), Image.Resampling.LANCZOS
         )
     stream = io.BytesIO()
     small.save(stream, "WEBP", quality=QUALITY, method=2)

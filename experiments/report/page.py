@@ -12,8 +12,18 @@ from experiments.harness.summary import format_metric, format_number
 from experiments.harness.thesis_elements import Element, elements, reasons
 from experiments.report.elements import captions, element_table
 from experiments.report.findings import agrees, differences, shortfalls
-from experiments.report.html import anchor, check_cells, command, folded, link, numbers, table
+from experiments.report.html import (
+    anchor,
+    check_cells,
+    command,
+    folded,
+    link,
+    numbers,
+    plain_key,
+    table,
+)
 from experiments.report.images import embed
+from experiments.report.overview import overview
 from experiments.report.results import Result
 from experiments.report.style import STYLE
 from perception.geometry.files import RESULTS, read_text
@@ -21,6 +31,7 @@ from perception.geometry.files import RESULTS, read_text
 FEW = 10  # checks that are not folded
 ROWS_SHOWN = 60  # of a CSV table; the file has them all
 PARTS = {
+    "found": "What was found",
     "shortfalls": "What falls short",
     "differences": "What differs from the thesis",
     "elements": "The thesis, element by element",
@@ -38,7 +49,8 @@ def page(results: Sequence[Result], known: Collection[str]) -> str:
         ExperimentError: If a picture or table is damaged.
     """
     thesis, excuses = elements(), reasons()
-    parts = shortfalls(results, excuses) + differences(results, excuses)
+    parts = overview(results, thesis)
+    parts += shortfalls(results, excuses) + differences(results, excuses)
     parts += element_table(thesis, results, known)
     sections = "".join(section(result, thesis) for result in results)
     entries = [(name, text) for name, text in PARTS.items() if f'id="{name}"' in parts]
@@ -108,7 +120,7 @@ def metric_row(key: str, ours: Any, thesis: Any) -> str:
     )
     differs = thesis is not None and not agrees(ours, thesis)
     kind = ' class="differs"' if differs else ""
-    return f"<tr{kind}><td>{escape(key)}</td>{numbers(cells)}</tr>"
+    return f"<tr{kind}><td>{escape(plain_key(key))}</td>{numbers(cells)}</tr>"
 
 
 def checks(result: Result) -> str:
@@ -117,7 +129,8 @@ def checks(result: Result) -> str:
         [check for check in result.metrics["checks"] if bool(check["ok"]) == ok]
         for ok in (True, False)
     )
-    parts = [_check_table(failed, "fail", "falls short")] if failed else []
+    short = ("quick", "not judged") if result.config.get("quick") else ("fail", "falls short")
+    parts = [_check_table(failed, *short)] if failed else []
     if held:
         rows = _check_table(held, "ok", "holds")
         parts.append(folded(f"{len(held)} checks hold", rows, unfolded=len(held) <= FEW))

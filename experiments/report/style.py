@@ -36,6 +36,11 @@ td strong, td > a { white-space: nowrap; }
 td.why { min-width: 16rem; }
 tr.differs td:nth-child(3) { color: var(--accent); font-weight: 600; }
 .ok { color: var(--good); } .fail { color: var(--bad); font-weight: 600; }
+.cards { display: grid; gap: 1rem; margin: 1rem 0;
+  grid-template-columns: repeat(auto-fill, minmax(min(18rem, 100%), 1fr)); }
+article { border: 1px solid var(--line); border-radius: 6px; padding: 0.8rem; }
+article h3 { margin: 0 0 0.5rem; } article ul { padding-left: 1.1rem; margin: 0.5rem 0; }
+article img { width: 100%; height: 11rem; object-fit: contain; background: #fff; }
 .figures { display: grid; gap: 1rem; margin: 1rem 0; align-items: start;
   grid-template-columns: repeat(auto-fit, minmax(min(22rem, 100%), 1fr)); }
 figure { margin: 0; padding: 0.6rem; background: #fff; color: #333; border-radius: 6px;
@@ -60,7 +65,7 @@ details { margin: 0.6rem 0; } summary { cursor: pointer; color: var(--accent); }
   details:not(.extra)::details-content { content-visibility: visible; block-size: auto; }
   .scroll { overflow: visible; }
   table { font-size: 7.5pt; } table.wide { font-size: 4.5pt; }
-  thead { display: table-header-group; } tr, figure { break-inside: avoid; }
+  thead { display: table-header-group; } tr, figure, article { break-inside: avoid; }
   th, td { padding: 0.1rem 0.25rem; }
   td, td.why, td.text { min-width: 0; } table.wide th { white-space: normal; }
   table.wide th, table.wide td { padding: 1px 2px; }

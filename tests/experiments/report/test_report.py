@@ -8,7 +8,7 @@ from experiments.__main__ import main
 from experiments.harness.contract import ExperimentError
 from experiments.harness.thesis_elements import Reason
 from experiments.report.findings import agrees, differences
-from experiments.report.html import command
+from experiments.report.html import command, plain_key
 from experiments.report.images import WIDTH, embed
 from experiments.report.report import write_report
 from experiments.report.results import read_result
@@ -18,20 +18,48 @@ from tests.experiments.report.browser_report import sound_pictures
 from tests.hostile_files import png_of_zeros
 
 
-def test_report_holds_everything_and_what_falls_short_first(tmp_path):
-    assert main(["tiny", "--out", str(tmp_path), "--quick"], CATALOGUE) == 0
+def test_report_begins_with_what_was_found_and_what_falls_short_and_holds_everything(tmp_path):
+    assert main(["tiny", "--out", str(tmp_path)], CATALOGUE) == 0
     assert main(["report", "--out", str(tmp_path)]) == 0
     text = (tmp_path / "report.html").read_text()
-    assert text.index("What falls short: 1 of 2 checks") < text.index('<section id="tiny">')
-    for part in ("18.9", "error is small", "table 2-1", "mass [kg]", "quick run", "mujoco version"):
+    found, short = text.index("What was found</h2>"), text.index("What falls short: 1 of 2 checks")
+    assert found < short < text.index('<section id="tiny">')
+    assert "1 of 2 checks hold." in text[found:short] and "thesis 18.9" in text[found:short]
+    assert text[found:short].count('<img alt="" loading="lazy"') == 1
+    for part in ("18.9", "error is small", "table 2-1", "mass [kg]", "mujoco version"):
         assert part in text
-    assert "python -m experiments tiny --quick</code>" in text
+    assert "python -m experiments tiny</code>" in text
     assert text.count('<img alt="figure 2-4"') == 1
     assert "ours &amp; &lt;theirs&gt;" in text
     assert str(tmp_path) not in text
     assert "<script" not in text
     places = re.findall(r'(?:src|href)="([^"]{1,5})', text)
     assert places and all(place.startswith(("#", "data:")) for place in places)
+
+
+def test_a_quick_run_is_shown_and_not_judged(tmp_path):
+    assert main(["tiny", "--out", str(tmp_path), "--quick"], CATALOGUE) == 0
+    text = write_report(tmp_path).read_text()
+    assert "A quick run: not judged." in text and "python -m experiments tiny --quick" in text
+    assert "error is small" in text and "18.9" in text
+    for red in ('class="short"', "falls short", "What differs", 'class="fail"', "class='fail'"):
+        assert red not in text
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("avg_error_percent/constant/ours", "avg error [%], constant, ours"),
+        ("sag_mm/5/no_head", "sag [mm], 5, no head"),
+        ("contact_force_n", "contact force [N]"),
+        ("success_fraction", "success [-]"),
+        ("rank", "rank"),
+        ("m", "m"),
+        ("first_first", "first first"),
+    ],
+)
+def test_metrics_are_named_in_words_with_their_unit(key, words):
+    assert plain_key(key) == words
 
 
 def test_report_of_nothing_is_refused(tmp_path, capsys):
@@ -109,8 +137,8 @@ def test_pictures_of_the_thesis_are_found_from_its_elements(tmp_path):
         assert text.count(f'<a href="#{place}">') == 1
         assert text.count(f' id="{place}"') == 1
     assert "Figure 2-4: constant arm motion</figcaption>" in text
-    assert '<td class="fail">not run: <code>python -m experiments ch3-planar</code></td>' in text
-    assert '<td class="fail">not in this run of <a href="#ch2-simulation">' in text
+    assert "<td>not run: <code>python -m experiments ch3-planar</code></td>" in text
+    assert '<td>not in this run of <a href="#ch2-simulation">' in text
     assert "2 of 67 shown" in text
 
 
@@ -157,10 +185,10 @@ def test_wide_pictures_are_reduced_and_small_ones_kept(tmp_path):
 @pytest.mark.skipif(browser.PATH is None, reason="no Chromium; `make test` installs it by apt")
 @pytest.mark.parametrize("width", [390, 1280])
 def test_a_browser_finds_nothing_broken_and_nothing_outside(tmp_path, width):
-    assert main(["tiny", "--out", str(tmp_path / "results"), "--quick"], CATALOGUE) == 0
+    assert main(["tiny", "--out", str(tmp_path / "results")], CATALOGUE) == 0
     (tmp_path / "results" / "tiny").rename(tmp_path / "results" / "ch2-simulation")
     path = write_report(tmp_path / "results")
-    assert sound_pictures(path, width, tmp_path / "profile") == 1
+    assert sound_pictures(path, width, tmp_path / "profile") == 2
 
 
 @pytest.mark.slow
