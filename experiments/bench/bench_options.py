@@ -1,6 +1,7 @@
 """Options of ``bench``."""
 
 import dataclasses
+from typing import Annotated
 
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
@@ -27,7 +28,7 @@ class Options(contract.RepeatedOptions):
         only: Names of the benchmarks to run; all by default.
     """
 
-    only: tuple[str, ...] = ()
+    only: Annotated[tuple[str, ...], contract.some_of(BENCHMARKS)] = ()
 
     def __post_init__(self) -> None:
         """Refuse unknown benchmarks.

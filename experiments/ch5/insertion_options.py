@@ -1,6 +1,7 @@
 """Options of ``ch5-insertion``."""
 
 import dataclasses
+from typing import Annotated
 
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
@@ -18,12 +19,12 @@ class Options(contract.RepeatedOptions, contract.RecordedOptions):
         detector: Marker detector: blob, or tht for the thesis' own.
         realism: How far robots, their sensors and cameras are from their drawings: ideal, default
             or harsh; with any but ideal each seed has robots of its own.
-        parts: Which parts to run: table, impossible, noise, faults, guides (unless said, all).
+        parts: Which parts to run (unless said, all).
     """
 
     detector: str = "blob"
     realism: RealismName = "default"
-    parts: tuple[str, ...] = ()
+    parts: Annotated[tuple[str, ...], contract.some_of(PARTS)] = ()
 
     def __post_init__(self) -> None:
         """Refuse unknown detectors and parts.

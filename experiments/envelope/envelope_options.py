@@ -1,6 +1,7 @@
 """Options of ``mission-envelope``."""
 
 import dataclasses
+from typing import Annotated
 
 from experiments.envelope.axes import AXES
 from experiments.harness import contract
@@ -15,7 +16,7 @@ class Options(contract.RepeatedOptions):
         axes: Axes to run (unless said, all).
     """
 
-    axes: tuple[str, ...] = ()
+    axes: Annotated[tuple[str, ...], contract.some_of(AXES)] = ()
 
     def __post_init__(self) -> None:
         """Refuse unknown axes.

@@ -1,8 +1,9 @@
 """What every experiment shares: its options and its errors."""
 
 import dataclasses
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -120,6 +121,15 @@ class RepeatedOptions(SweepOptions):
         """
         count = self.seeds if self.seeds is not None else (quick if self.quick else full)
         return [int(word) for word in np.random.SeedSequence(self.seed).generate_state(count)]
+
+
+def some_of(names: Iterable[str]) -> Any:
+    """Return how the help shows an option that takes some of these names.
+
+    Args:
+        names: All that there are.
+    """
+    return tyro.conf.arg(metavar=f"{{{','.join(names)}}} ...")
 
 
 def check_count(name: str, value: int | None) -> None:

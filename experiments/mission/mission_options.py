@@ -1,7 +1,7 @@
 """Options of ``mission``."""
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
 
 from controllers.mission.config import OMITTABLE
 from experiments.harness import contract
@@ -33,7 +33,7 @@ class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """
 
     robot: str = "sim"
-    without: tuple[str, ...] = ()
+    without: Annotated[tuple[str, ...], contract.some_of(OMITTABLE)] = ()
     loss: float = 0.0
     realism: RealismName = "default"
     only: Literal["identify", "search", "map", "place", "approach", "all"] = "all"

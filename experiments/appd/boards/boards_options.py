@@ -1,6 +1,7 @@
 """Options of ``appd-boards``."""
 
 import dataclasses
+from typing import Annotated
 
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
@@ -19,7 +20,7 @@ class Options(contract.RepeatedOptions):
             two hours on two slow cores).
     """
 
-    parts: tuple[str, ...] = ("trials",)
+    parts: Annotated[tuple[str, ...], contract.some_of(PARTS)] = ("trials",)
 
     def __post_init__(self) -> None:
         """Refuse unknown parts.

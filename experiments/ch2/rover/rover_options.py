@@ -1,7 +1,7 @@
 """Options of ``ch2-rover``."""
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, Literal
 
 from controllers.identification import ROVER_EXCITATIONS
 from experiments.harness import contract
@@ -27,7 +27,7 @@ class Options(contract.RepeatedOptions, contract.RecordedOptions):
     """
 
     robot: str = "sim"
-    excitations: tuple[str, ...] = ()
+    excitations: Annotated[tuple[str, ...], contract.some_of(ROVER_EXCITATIONS)] = ()
     duration: float = 10.0
     realism: RealismName = "default"
     axis: Axis = "pitch"

@@ -32,7 +32,7 @@ class Options(contract.RepeatedOptions, contract.RecordedOptions):
 
     truth: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     random_truth: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    excitations: tuple[str, ...] = ()
+    excitations: Annotated[tuple[str, ...], contract.some_of(EXCITATIONS)] = ()
     noise: Literal["fixed", "relative", "both"] | None = None
     starts: Annotated[int, tyro.conf.arg(metavar="N")] = 0
 

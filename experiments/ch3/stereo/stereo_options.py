@@ -18,12 +18,12 @@ class Options(contract.RepeatedOptions, contract.RecordedOptions):
     Attributes:
         robot: Robots that map: sim, quantised or emulated. The parts noise, motion and cooperation
             need no robot.
-        parts: Parts to run: noise, motion, mapping, cooperation (all by default).
+        parts: Parts to run (all by default).
         scans: Number of views of each robot (by default 12; with --quick, 3).
     """
 
     robot: SimulatedRobot = "sim"
-    parts: tuple[str, ...] = ()
+    parts: Annotated[tuple[str, ...], contract.some_of(PARTS)] = ()
     scans: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
 
     def __post_init__(self) -> None:
