@@ -67,7 +67,8 @@ def draw_goodput(rates: Sequence[PooledTrials], delays: Sequence[PooledTrials]) 
         axes.set_yscale("log")
         axes.axhline(960.0, color="k", linestyle="--", linewidth=0.8, label="line")
         axes.grid(alpha=0.3, which="both")
-        axes.legend()
+    left.legend(title="median, 95 % interval")
+    right.legend(title="median")
     return figure
 
 

@@ -317,6 +317,7 @@ def draw_errors(results: Results, truths: Truths) -> Figure:
     axes = figure.subplots()
     errors = [_errors(trials, truths).mean(axis=1) for trials in results.values()]
     axes.boxplot(errors, tick_labels=list(results))
+    axes.set_title("box: middle half of the runs, whiskers: 1.5 times as far", fontsize="small")
     axes.axhline(10, color="grey", ls=":", label="10 %")
     axes.set(yscale="log", ylabel="average error of five parameters [%]")
     axes.grid(alpha=0.3, axis="y", which="both")

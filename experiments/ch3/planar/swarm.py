@@ -94,6 +94,6 @@ def _figure(arrivals: Mapping[tuple[int, str], FloatArray]) -> Figure:
     for axes in (left, right):
         axes.set(xscale="log", xlabel="robots")
         axes.grid(alpha=0.3)
-        axes.legend()
+        axes.legend(title="median, 95 % interval")
     figure.subplots_adjust(wspace=0.3)
     return figure

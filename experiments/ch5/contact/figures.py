@@ -144,8 +144,8 @@ def draw_seatings(cells: Mapping[tuple[str, float, int], Sequence[SeatingResult]
         axes.set(title=f"friction {friction:g}", xticks=rings, ylim=(-0.05, 1.05))
         axes.set_xlabel("misalignment, thirds of the widest")
         axes.grid(alpha=0.3)
-    panels[0].set_ylabel("seated")
-    panels[-1].legend(fontsize=8)
+    panels[0].set_ylabel("seated (95 % interval) [-]")
+    panels[-1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.subplots_adjust(wspace=0.1)
     return figure
 
