@@ -46,7 +46,8 @@ def experiment_words(command: str) -> list[str]:
     """
     match = MODULE.search(command)
     if match:
-        return shlex.split(match[2].replace(*ELLIPSIS)) if match[1] == "experiments" else []
+        words, _, _ = match[2].replace(*ELLIPSIS).partition(" > ")
+        return shlex.split(words) if match[1] == "experiments" else []
     words = command.replace(*ELLIPSIS).split()
     known = catalogue.EXPERIMENTS.keys() | catalogue.COMMANDS.keys()
     return words if len(words) > 1 and words[0] in known and words[1].startswith("--") else []
@@ -64,7 +65,7 @@ def check(words: list[str]) -> None:
     known = {**catalogue.EXPERIMENTS, **catalogue.COMMANDS}
     if name not in known:
         raise OptionError(f"no experiment {name!r}")
-    command_line.parse(known[name].options_type(), name, known[name].summary, options)
+    command_line.parse(known[name], options)
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page != "CHANGELOG.md"])

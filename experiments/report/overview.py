@@ -70,6 +70,6 @@ def _embedded(path: Path) -> str:
     except (OSError, ValueError, SyntaxError) as error:  # Pillow's, of damaged files.
         raise ExperimentError(f"{path}: no picture ({error})") from None
     return (
-        f'<img alt="" loading="lazy" width="{picture.width}" height="{picture.height}" '
+        f'<img alt="" width="{picture.width}" height="{picture.height}" '
         f'src="{picture.url}">'
     )

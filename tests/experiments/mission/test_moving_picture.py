@@ -6,7 +6,8 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from experiments.mission.figures import COLOURS
+from experiments.harness.figure_style import COLOURS, rgb
+from experiments.mission.figures import ROLES
 from experiments.mission.moving_picture import MovingPicture
 from experiments.mission.scene import CARD_PLACE, MASTER, SLAVE, draw_scene
 from experiments.mission.trial import MissionTrial, generators
@@ -54,12 +55,12 @@ def test_a_rover_is_drawn_where_it_is_and_its_track_where_it_was(film):
     first, last = moving.frames[0], moving.frames[-1]
     for name in (MASTER, SLAVE):
         column, row = pixel_of(begins[name], begins)
-        assert first[row, column].tolist() == list(COLOURS[name])
+        assert first[row, column].tolist() == list(rgb(COLOURS[ROLES[name]]))
         middle = pixel_of(0.5 * (begins[name] + CARD_PLACE[:2]), begins)
         near = last[middle[1] - 2 : middle[1] + 3, middle[0] - 2 : middle[0] + 3].reshape(-1, 3)
-        assert np.abs(near.astype(int) - COLOURS[name]).sum(axis=1).min() < 60
+        assert np.abs(near.astype(int) - rgb(COLOURS[ROLES[name]])).sum(axis=1).min() < 60
     column, row = pixel_of(CARD_PLACE[:2], begins)
-    assert last[row, column].tolist() == list(COLOURS[SLAVE])  # Drawn after the master.
+    assert last[row, column].tolist() == list(rgb(COLOURS["slave"]))  # Drawn after the master.
 
 
 def test_the_film_plays(film, tmp_path):

@@ -110,8 +110,8 @@ def test_half_the_step_gives_the_same_arm():
     ("option", "value", "message"),
     [
         ("stages", 9, "--stages 9"),
-        ("words", 0, "--words 0"),
-        ("at_once", 0, "--at-once 0"),
+        ("words", 0, "--words: expected at least 1, got 0"),
+        ("at_once", 0, "--at-once: expected at least 1, got 0"),
     ],
 )
 def test_arms_and_words_that_cannot_be_run_are_refused(option, value, message):

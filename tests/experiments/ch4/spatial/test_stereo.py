@@ -72,7 +72,7 @@ def test_planned_pose_sees_the_whole_hole():
 
 @pytest.mark.parametrize(
     ("options", "named"),
-    [({"scenes": 0}, "--scenes 0"), ({"blocks": 40}, "--blocks 40"),
+    [({"scenes": 0}, "--scenes: expected at least 1, got 0"), ({"blocks": 40}, "--blocks 40"),
      ({"target": "slot"}, "--target slot: the work-piece has hole0, hole1, hole2")],
 )  # fmt: skip
 def test_bad_options_are_named(options, named):
