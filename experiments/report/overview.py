@@ -69,7 +69,4 @@ def _embedded(path: Path) -> str:
         picture = embed(path, CARD)
     except (OSError, ValueError, SyntaxError) as error:  # Pillow's, of damaged files.
         raise ExperimentError(f"{path}: no picture ({error})") from None
-    return (
-        f'<img alt="" width="{picture.width}" height="{picture.height}" '
-        f'src="{picture.url}">'
-    )
+    return f'<img alt="" width="{picture.width}" height="{picture.height}" src="{picture.url}">'
