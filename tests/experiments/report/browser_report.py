@@ -36,8 +36,7 @@ def sound_pictures(path, width, profile):
         assert chromium.evaluate("document.documentElement.scrollWidth") <= width
         assert chromium.evaluate(_STICKING_OUT) == 0
         assert chromium.evaluate(_DANGLING) == []
-        # What is folded on the screen is there on paper.
-        assert chromium.evaluate(_HIDDEN) > 0
+        # What may be folded on the screen is there on paper.
         chromium.call("Emulation.setEmulatedMedia", media="print")
         chromium.evaluate("new Promise(done => requestAnimationFrame(() => setTimeout(done)))")
         assert chromium.evaluate(_HIDDEN) == 0

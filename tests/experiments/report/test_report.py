@@ -188,6 +188,7 @@ def test_a_browser_finds_nothing_broken_and_nothing_outside(tmp_path, width):
     assert main(["tiny", "--out", str(tmp_path / "results")], CATALOGUE) == 0
     (tmp_path / "results" / "tiny").rename(tmp_path / "results" / "ch2-simulation")
     path = write_report(tmp_path / "results")
+    assert "<details><summary>" in path.read_text()  # Folded on the screen.
     assert sound_pictures(path, width, tmp_path / "profile") == 2
 
 
