@@ -15,10 +15,10 @@ RUN python3 -m venv /opt/fieldtwin \
     && rm -r /src
 
 RUN useradd --create-home fieldtwin \
-    && mkdir /work \
-    && chown fieldtwin /work
+    && mkdir /data \
+    && chown fieldtwin /data
 USER fieldtwin
-WORKDIR /work
+WORKDIR /data
 ENV PATH=/opt/fieldtwin/bin:$PATH MUJOCO_GL=egl
 ENTRYPOINT ["fieldtwin"]
 CMD ["list"]

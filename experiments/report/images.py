@@ -7,6 +7,7 @@ from pathlib import Path
 
 from PIL import Image
 
+from experiments.harness.contract import ExperimentError
 from perception.geometry.files import check_picture
 
 WIDTH = 1600  # [px] Wider ones are reduced: twice the widest column of the page.
@@ -36,14 +37,15 @@ def embed(path: Path, width: int = WIDTH) -> Embedded:
         width: Width to which wider ones are reduced [px].
 
     Raises:
-        OSError: If it is no picture, or a larger one than is read.
-        ValueError: If it is damaged.
-        SyntaxError: If it is damaged.
+        ExperimentError: If it is no picture, a damaged one, or a larger one than is read.
     """
-    check_picture(path)
-    raw = path.read_bytes()
-    with Image.open(io.BytesIO(raw)) as picture:
-        small = _on_white(picture)
+    try:
+        check_picture(path)
+        raw = path.read_bytes()
+        with Image.open(io.BytesIO(raw)) as picture:
+            small = _on_white(picture)
+    except (OSError, ValueError, SyntaxError) as error:  # Pillow's, of damaged files.
+        raise ExperimentError(f"{path}: no picture ({error})") from None
     if small.width > width:
         small = small.resize(
             (width, round(small.height * width / small.width)), Image.Resampling.LANCZOS

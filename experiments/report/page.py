@@ -155,10 +155,7 @@ def figures(result: Result, thesis: Sequence[Element]) -> str:
 
 
 def _figure(result: Result, path: Path, caption: str) -> str:
-    try:
-        picture = embed(path)
-    except (OSError, ValueError, SyntaxError) as error:  # Pillow's, of damaged files.
-        raise ExperimentError(f"{path}: no picture ({error})") from None
+    picture = embed(path)
     text = caption or path.stem.replace("_", " ")
     return (
         f'<figure id="{escape(anchor(result.name, path.stem))}"><img alt="{escape(text)}" '

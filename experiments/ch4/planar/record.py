@@ -9,6 +9,7 @@ import rerun.blueprint as rrb
 
 from controllers.placement.planar.search import rating_field
 from experiments.ch4.planar.motion import STEP, MappedSite, Moment
+from experiments.harness import figure_style
 from experiments.harness.figure_style import BLUE, RED, rgb
 from experiments.harness.recording import closed, recording, viridis
 from perception.geometry.arrays import FloatArray
@@ -19,7 +20,7 @@ SPACING = 2.0
 SPEED = 1.0
 """Speed of the panel on the recording's time line [m/s]."""
 COLOURS = {"primary": rgb(RED), "secondary": rgb(BLUE)}
-GREEN, ORANGE, GREY = (60, 160, 60), (240, 150, 0), (150, 150, 150)
+GREEN, ORANGE, GREY = rgb(figure_style.GREEN), rgb(figure_style.ORANGE), (150, 150, 150)
 
 
 def record_approach(site: MappedSite, moments: Sequence[Moment], path: Path) -> None:
