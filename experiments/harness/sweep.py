@@ -174,7 +174,7 @@ def _write(path: Path, config: Any, result: Any) -> None:
     arrays: dict[str, np.ndarray] = {}
     text = json.dumps({"config": plain(config), "result": _stored(result, arrays)})
     stream = io.BytesIO()
-    np.savez(stream, allow_pickle=False, json=np.array(text), **arrays)
+    np.savez_compressed(stream, allow_pickle=False, json=np.array(text), **arrays)
     write_checked(path, stream.getvalue())
 
 
