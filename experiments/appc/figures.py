@@ -72,7 +72,7 @@ def draw_predictors(pictures: Mapping[str, ByteArray]) -> Figure:
         for column, (image, title, (low, high)) in enumerate(panels, start=1):
             axes = figure.add_subplot(len(pictures), columns, row * columns + column)
             axes.imshow(image, cmap="gray", vmin=low, vmax=high)
-            axes.set_title(title, fontsize=9)
+            axes.set_title(title, fontsize="small")
             axes.set_axis_off()
     figure.tight_layout()
     return figure

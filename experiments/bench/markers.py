@@ -278,7 +278,7 @@ def draw_steps(
 def _show(axes: Axes, image: NDArray[np.generic], title: str, around: Crop | None = None) -> None:
     """Show an image, or a part of it."""
     axes.imshow(image, cmap="gray", interpolation="nearest")
-    axes.set_title(title, fontsize=9)
+    axes.set_title(title, fontsize="small")
     axes.set_axis_off()
     if around is not None:
         axes.axis(around)
@@ -352,10 +352,12 @@ def _three_points(
     for first, second in ((0, 1), (1, 2)):
         half = 0.5 * (chosen[first] + chosen[second])
         axes.plot([half[0], x], [half[1], y], ":", color=BLUE)
-    axes.set_title(f"radius {radius:.2f} px, bisectors at {np.degrees(turn):.0f} deg", fontsize=9)
+    axes.set_title(
+        f"radius {radius:.2f} px, bisectors at {np.degrees(turn):.0f} deg", fontsize="small"
+    )
     axes.set(xlabel="column, square pixels", ylabel="row", aspect="equal")
     axes.invert_yaxis()
-    axes.legend(fontsize=8)
+    axes.legend()
     return figure
 
 

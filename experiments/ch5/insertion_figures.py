@@ -56,7 +56,7 @@ def draw_steps(steps: Sequence[tuple[float, ImageArray]]) -> Figure:
     figure = Figure(figsize=(10.0, 7.2))
     for axes, (time, picture) in zip(figure.subplots(2, 2).flat, steps):
         _show(axes, picture)
-        axes.set_title(f"{time:.1f} s", fontsize=10)
+        axes.set_title(f"{time:.1f} s")
     figure.tight_layout()
     return figure
 
@@ -74,7 +74,7 @@ def draw_pairs(pairs: Mapping[str, tuple[ImageArray, Sequence[FloatArray]]]) -> 
             _show(axes, pair[side])
             for ellipse in ellipses[side]:
                 axes.plot(*_outline(ellipse), color=RED, linewidth=1.2)
-            axes.set_title(f"{moment}, {name}", fontsize=10)
+            axes.set_title(f"{moment}, {name}")
     figure.tight_layout()
     return figure
 
@@ -124,7 +124,7 @@ def draw_course(course: FloatArray, title: str) -> Figure:
         axes.grid(alpha=0.3)
         if begun.size:
             axes.axvline(begun[0], color="k", linestyle="--", linewidth=0.8)
-        axes.legend(fontsize=8)
+        axes.legend()
     figure.suptitle(f"{title}; dashed: force takes over")
     figure.tight_layout()
     return figure

@@ -36,7 +36,7 @@ def draw_tracks(trial: MissionTrial, result: MissionResult) -> Figure:
     low, high = points.min(axis=0) - 1.0, points.max(axis=0) + 1.0
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
     axes.set_aspect("equal")
-    axes.legend(loc="best", fontsize=8)
+    axes.legend(loc="best")
     return figure
 
 
@@ -74,7 +74,7 @@ def draw_steps(steps: Sequence[tuple[str, float, ImageArray]]) -> Figure:
         axes = figure.add_subplot(rows, columns, index + 1)
         axes.imshow(picture)
         axes.set_axis_off()
-        axes.set_title(f"{name}, {time:.1f} s", fontsize=10)
+        axes.set_title(f"{name}, {time:.1f} s")
     figure.tight_layout()
     return figure
 

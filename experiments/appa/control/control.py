@@ -187,5 +187,5 @@ def _bars(medians: Mapping[tuple[str, str, float], float]) -> Figure:
     axes.set(yscale="log", ylabel="joint error, r.m.s. [deg]")
     axes.set_xticks(range(len(BASES)), [f"{base}\n{BASES[base]:g} N m/rad" for base in BASES])
     axes.grid(axis="y", alpha=0.3)
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), fontsize=9)
+    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return figure

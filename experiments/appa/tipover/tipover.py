@@ -148,13 +148,13 @@ def draw_footprints(shown: Shown) -> Figure:
         axes.plot(*point.T, ".-", linewidth=0.6, label="zero-moment point (A-5)")
         axes.plot(*pressure.T, "x", markersize=4, label="centre of pressure")
         end = "tipped" if result.tipped else f"tilted {result.tilt_deg:.1f} deg"
-        axes.set_title(f"{NAMES[guard]}: {end}", fontsize=10)
+        axes.set_title(f"{NAMES[guard]}: {end}")
         axes.set(aspect="equal", xlim=(-180, 180), ylim=(-180, 180), xlabel="to the right [mm]")
         axes.grid(alpha=0.3)
         if column == 0:
             axes.set(ylabel="forward [mm]")
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=3, fontsize=9)
+    figure.legend(handles, labels, loc="lower center", ncols=3)
     figure.subplots_adjust(bottom=0.2)
     return figure
 
@@ -176,6 +176,6 @@ def draw_progress(shown: Shown) -> Figure:
     for axes in (left, right):
         axes.set(xlabel="time since the motion's beginning [s]")
         axes.grid(alpha=0.3)
-    left.legend(fontsize=9)
+    left.legend()
     figure.subplots_adjust(wspace=0.25)
     return figure

@@ -165,12 +165,12 @@ def draw_course(course: FloatArray, name: str) -> Figure:
                     begin = course[reached[0], 0]
                     axes.axvline(begin, color="0.6", linewidth=0.8, linestyle=":")
             axes.grid(alpha=0.3)
-            axes.legend(fontsize=8)
-            axes.set_title(f"{robot}: {title}", fontsize=10)
+            axes.legend()
+            axes.set_title(f"{robot}: {title}")
             if row == 1:
                 axes.set_xlabel("time [s]")
     note = "dotted: the carry to the mouth begins, the insertion begins"
-    figure.text(0.5, 0.02, note, ha="center", fontsize=9)
+    figure.text(0.5, 0.02, note, ha="center", fontsize="small")
     figure.subplots_adjust(hspace=0.3, wspace=0.2)
     return figure
 
@@ -199,12 +199,12 @@ def draw_comparison(results: Results) -> Figure:
                     colour = bars.patches[0].get_facecolor()
                     axes.plot(np.full(len(runs), place), runs, ".", color=colour, markersize=4)
         axes.set_xticks(range(len(shares)), [f"{share:g}" for share in shares])
-        axes.set_title(title, fontsize=10)
+        axes.set_title(title)
         axes.grid(axis="y", alpha=0.3)
         if index >= 2:
             axes.set_xlabel("misalignment, of the widest asked for")
     handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncols=len(methods), fontsize=9,
+    figure.legend(handles, labels, loc="lower center", ncols=len(methods),
                   title="bars: share or median; dots: runs")  # fmt: skip
     figure.subplots_adjust(hspace=0.3, bottom=0.17)
     return figure

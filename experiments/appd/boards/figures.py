@@ -108,7 +108,7 @@ def draw_amplifier() -> Figure:
     _draw_currents(grid[1, 1])
     for axes in grid.ravel():
         axes.grid(alpha=0.3)
-        axes.legend(fontsize="small")
+        axes.legend()
     figure.tight_layout()
     return figure
 

@@ -253,7 +253,7 @@ def _figure(runs: Sequence[WeighedRobot]) -> Figure:
         lower.set(xlabel=f"{axis} with the weight on [deg]", ylabel="weighed minus true [deg]")
         lower.axhline(0.0, color="k", linewidth=0.8)
         for axes in (upper, lower):
-            axes.legend(fontsize="small")
+            axes.legend()
             axes.grid(alpha=0.3)
     return figure
 

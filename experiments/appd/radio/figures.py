@@ -35,7 +35,7 @@ def draw_fates(rows: Sequence[PooledTrials]) -> Figure:
             bottom += shares
         axes.set_xticks(places, [f"{row.error_rate:g}" for row in chosen])
         axes.set(title=link, xlabel="byte error rate [-]", ylabel="messages [%]")
-    figure.axes[0].legend(fontsize="small", loc="lower left")
+    figure.axes[0].legend(loc="lower left")
     return figure
 
 
@@ -144,7 +144,7 @@ def draw_conversation(result: Conversation, period: float) -> Figure:
         if axes is not paths:
             axes.set_xlim(0.0, truth[-1, 0])
         place = "upper center" if axes is paths else "upper right"
-        axes.legend(fontsize="small", loc=place, ncols=1 if axes is paths else 2)
+        axes.legend(loc=place, ncols=1 if axes is paths else 2)
         axes.grid(alpha=0.3)
     figure.tight_layout()
     return figure

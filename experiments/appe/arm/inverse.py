@@ -187,6 +187,6 @@ def _figure(results: Mapping[tuple[str, int], Results]) -> Figure:
         axes.set(title=f"{stages} stages, {kind}", xlabel="cost [r]", ylabel="targets")
         axes.grid(alpha=0.3)
         below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.17), "frameon": False}
-        axes.legend(fontsize=7.5, ncols=2, **below)
+        axes.legend(ncols=2, **below)
     figure.subplots_adjust(left=0.05, right=0.98, wspace=0.2, hspace=0.5, bottom=0.15, top=0.96)
     return figure

@@ -67,7 +67,7 @@ def draw_waveform(traces: Mapping[str, Trace], circuit: BusCircuit) -> Figure:
         for axes in (line, counter, buffer, count, word):
             axes.grid(alpha=0.3)
             axes.set_xlim(0.0, time[-1])
-    grid[1, 0].legend(fontsize="small", loc="upper center")  # between the flags
+    grid[1, 0].legend(loc="upper center")  # between the flags
     return figure
 
 
@@ -118,7 +118,7 @@ def draw_rates(found: Mapping[str, Sequence[BusTrial]]) -> Figure:
         if key != "noise":
             axes.set_xscale("log")
         axes.grid(alpha=0.3)
-        axes.legend(fontsize="small")
+        axes.legend()
     return figure
 
 

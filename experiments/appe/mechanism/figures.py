@@ -96,7 +96,7 @@ def toggle(course: FloatArray) -> Figure:
         well.axhline(sign * BRAID.barrier, color="0.6", lw=0.8, ls="--")
         well.plot(sign * 1e3 * h, 0.0, "ko", ms=4)
     well.set(xlabel="leg from its middle [mm]", ylabel="detent on the leg [N]")
-    hot.legend(fontsize=7, loc="lower right")
+    hot.legend(loc="lower right")
     for axes in (hot, where, well):
         axes.grid(alpha=0.3)
     return figure
@@ -116,7 +116,7 @@ def sag(trials: Sequence[ArmTrial], results: Sequence[WordErrors]) -> Figure:
     load.axhline(1.0, color="0.5", ls="--", lw=0.8, label="a leg switches")
     tip.set(xlabel="stages", ylabel="sag of the tip [mm]", yscale="log")
     load.set(xlabel="stages", ylabel="greatest load on a detent / barrier")
-    load.legend(fontsize=8)
+    load.legend()
     for axes in (tip, load):
         axes.grid(alpha=0.3)
     return figure

@@ -304,7 +304,7 @@ def draw_convergence(results: Results, truths: Truths) -> Figure:
         axes.set_ylim(min(-true, 0) if name in ("ry", "rz") else 0, 3 * true)
         axes.set(title=name, ylabel=unit, xlabel="time [s]")
         axes.grid(alpha=0.3)
-    grid.flat[0].legend(fontsize=8)
+    grid.flat[0].legend()
     grid.flat[-1].axis("off")
     figure.suptitle("Convergence: median of the seeds and the band of 80 % of them")
     figure.tight_layout()

@@ -46,7 +46,7 @@ def error_figure(
         title = f"mean distance {name.removesuffix('mm')} mm, {count} fiducials a view"
         axes.set(title=title, yscale="log")
         axes.grid(alpha=0.3, which="both")
-    grid[0, 0].legend(loc="upper left", ncols=2, fontsize="small")
+    grid[0, 0].legend(loc="upper left", ncols=2)
     figure.supxlabel("step")
     figure.supylabel("translation error [mm]")
     figure.suptitle(
@@ -83,7 +83,7 @@ def tracking_figure(
                 style = {"markersize": size, "markeredgecolor": colour, "markeredgewidth": 1.6}
                 axes.plot(*points[:, :2].T, marker, markerfacecolor="none", **style)
         axes.set_axis_off()
-        axes.set_title(f"view {index + 1}", fontsize="medium")
+        axes.set_title(f"view {index + 1}")
     figure.suptitle("Fiducials: squares tracked with the previous view, circles with the next")
     return figure
 
@@ -111,7 +111,7 @@ def cooperative_figure(
     ):
         axes.imshow(image, cmap="gray", vmin=0, vmax=255)
         axes.scatter(*places.T, c=np.linspace(0.0, 1.0, len(places)), cmap="hsv", s=14)
-        axes.set_title(f"{label} robot: {len(places)} points that both see", fontsize="medium")
+        axes.set_title(f"{label} robot: {len(places)} points that both see")
         axes.set_axis_off()
     figure.suptitle("Cooperative stereo (section 6.2 (a)): median and quartiles")
     return figure

@@ -91,5 +91,5 @@ def evaluation_figure() -> Figure:
         axes.add_patch(Wedge((x, y), sensor.depth, *edges, fill=False, color="r"))
         axes.set(xlim=(x - reach, x + reach), ylim=(y - reach, y + reach))
         values = (f"{name} {value[turn % HEADINGS]:.2f}" for name, value in readings.items())
-        axes.set_title(f"NI: {', '.join(values)}", fontsize=8)
+        axes.set_title(f"NI: {', '.join(values)}", fontsize="small")
     return figure

@@ -171,7 +171,7 @@ def _draw_targets(axes: Axes, targets: Sequence[Target]) -> None:
         axes.plot(*(target.position + target.outline).T, color=colour, linewidth=3)
         x, y = map(float, target.position)
         axes.annotate(target.name, (x - 2.0, y), color=colour, ha="right",
-                      va="center", fontsize=8)  # fmt: skip
+                      va="center", fontsize="small")  # fmt: skip
 
 
 def _draw_view(axes: Axes, task: PlanarTask, view: View) -> None:

@@ -184,8 +184,8 @@ def searches(
     left.set_ylim(None, 5e3)
     for axes in (left, right):
         axes.grid(alpha=0.3)
-        axes.legend(fontsize=8)
-    left.legend(fontsize=7, loc="upper left", ncols=2, columnspacing=0.8)
+        axes.legend()
+    left.legend(loc="upper left", ncols=2, columnspacing=0.8)
     return figure
 
 

@@ -52,7 +52,7 @@ def draw_states(width: float) -> Figure:
         pose = pose_in_state(shape, state, 1, tilt, 0.008 if state in (1, 3) else 0.02)
         _draw_state(figure.add_subplot(2, 3, state), shape, pose, state)
     note = "red: force of the slot on the card; dotted: edges of its friction cone"
-    figure.text(0.5, 0.05, note, ha="center", fontsize=9)
+    figure.text(0.5, 0.05, note, ha="center", fontsize="small")
     figure.subplots_adjust(hspace=0.15, wspace=0.1)
     return figure
 
@@ -70,7 +70,7 @@ def _draw_state(axes: Axes, shape: CardInSlot, pose: FloatArray, state: int) -> 
             axes.plot([at[0], tip[0]], [at[1], tip[1]], style, color=RED, linewidth=1.5)
         axes.plot(*at, "o", color=RED, markersize=4)
     axes.set(aspect="equal", xlim=(-95, 95), ylim=(-75, 50), xticks=[], yticks=[])
-    axes.set_title(f"State {state}: {CAPTIONS[state]}", fontsize=9)
+    axes.set_title(f"State {state}: {CAPTIONS[state]}", fontsize="small")
 
 
 def draw_location(noises: Sequence[float], located: Mapping[int, FloatArray]) -> Figure:
@@ -88,7 +88,9 @@ def draw_location(noises: Sequence[float], located: Mapping[int, FloatArray]) ->
         axes.plot(percent, middle, "o-", color=f"C{index}", label=f"state {state}")
         axes.plot(percent, high, ":", color=f"C{index}")
     axes.set(xlabel="sensor noise [% of the force]", ylabel="error of the contact point [mm]")
-    axes.set_title("median, dotted the 95th percentile; 3 and 6 touch at a corner", fontsize=9)
+    axes.set_title(
+        "median, dotted the 95th percentile; 3 and 6 touch at a corner", fontsize="small"
+    )
     axes.grid(alpha=0.3)
     axes.legend()
     return figure
@@ -117,7 +119,7 @@ def draw_success(
     for axes in (left, right):
         axes.set(xticks=list(rings), xlabel="misalignment, thirds of 4 mm and 6 deg")
         axes.grid(alpha=0.3)
-    left.legend(fontsize=8)
+    left.legend()
     figure.subplots_adjust(wspace=0.3)
     return figure
 
@@ -160,7 +162,7 @@ def draw_courses(courses: Mapping[str, FloatArray]) -> Figure:
     panels = figure.subplots(3, len(courses), sharex=True, sharey="row", squeeze=False)
     for (upper, middle, lower), (method, course) in zip(panels.T, courses.items()):
         ending = list(Phase)[int(course[-1, 10])].value
-        upper.set_title(f"{method}: {ending}", fontsize=10)
+        upper.set_title(f"{method}: {ending}")
         across, depth, tilt, *forces, moment = course[:, 4:10].T
         for axes, label, values in (
             (upper, "across [mm]", 1e3 * across),
@@ -175,6 +177,6 @@ def draw_courses(courses: Mapping[str, FloatArray]) -> Figure:
         lower.set(ylabel="moment [N m]", xlabel="time [s]", xlim=(0.0, None))
         for axes in (upper, middle, lower):
             axes.grid(alpha=0.3)
-            axes.legend(fontsize=8)
+            axes.legend()
     figure.subplots_adjust(hspace=0.25, wspace=0.25)
     return figure
