@@ -9,6 +9,7 @@ the pitch of its forward axis, as many numbers as there are joints: `GripperInve
 """
 
 import dataclasses
+import functools
 import math
 from typing import Any, NamedTuple
 
@@ -48,6 +49,7 @@ class ArmGeometry(NamedTuple):
     limits: FloatArray
 
     @classmethod
+    @functools.lru_cache(16)  # A search asks for the same arm thousands of times.
     def of(cls, arm: SerialChain) -> "ArmGeometry":
         """Read an arm's numbers.
 
