@@ -11,7 +11,7 @@ In reading order:
 - `servo`: commands into motor duty; `sensors`, `sensor_bank`: measurements with noise.
 - `camera`: stereo heads, drawn when a pair is read; `optics`: what lenses, shutters and mountings
   make of it.
-- `recording`: recordings and pictures for the rerun viewer.
+- `recording`: recordings and pictures for the rerun viewer; `logs`: logs of any robot, in and out.
 - `environment`: the same scene for dm_control.
 - `hardware`: robots over real and emulated boards (thesis appendix D).
 """

@@ -291,6 +291,12 @@ COMMANDS: dict[str, Command] = {
             example="> truth.toml",
         ),
         Command(
+            "log",
+            "what a log of any robot holds (CSV, MCAP, rosbag2, LeRobot), and what is wrong in it",
+            "experiments.commands.log",
+            example="run.mcap --mapping robot.toml",
+        ),
+        Command(
             "report",
             "all results beside the thesis' in OUT/report.html",
             "experiments.report.report",

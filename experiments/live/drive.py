@@ -21,6 +21,7 @@ from models.compose import ROUGH
 from twin.camera import StereoConfig
 from twin.clock import PacedClock, WallClock
 from twin.connect import Connection, connect
+from twin.logs.writing import LogWriter
 from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
 from twin.recording.record import Recorder
@@ -100,6 +101,8 @@ def drive(connection: Connection, server: PageServer, options: Options) -> None:
         if options.record is not None:
             recorder = Recorder(options.record, connection.robots, connection.simulation)
             recorders.append(stack.enter_context(recorder))
+        if options.log is not None:
+            recorders.append(stack.enter_context(LogWriter(options.log)))
         run_loop(connection.robots, [hand], clock, recorders, _LONGEST)
 
 

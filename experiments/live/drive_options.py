@@ -21,6 +21,7 @@ class Options:
             boards, as serial:/dev/ttyUSB0,analogue=/dev/ttyACM0,stereo=0:1,home=0:0.9:-1.4:0.1.
         speed: Largest speed of the wheels along the ground [m/s]; the rover as drawn reaches 0.32.
         record: Also write a recording for the rerun viewer, as drive.rrd; it must be new.
+        log: Also write what is measured and applied as a log, as drive.mcap; it must be new.
         port: Port of the page on this machine; 0 for a free one.
         realism: How far a simulated rover, its sensors and cameras are from their drawings: ideal,
             default or harsh; images take longer with any but ideal (unless said, ideal).
@@ -30,6 +31,7 @@ class Options:
     robot: str = "sim"
     speed: Annotated[float, tyro.conf.arg(metavar="M/S")] = 0.15
     record: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    log: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     port: int = 0
     realism: RealismName | None = None
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -53,13 +55,16 @@ class Options:
             raise OptionError(f"--seed: expected 0 or more, got {self.seed}")
         if not 0 <= self.port < 1 << 16:
             raise OptionError(f"--port: expected 0 to 65535, got {self.port}")
-        if self.record is not None:
-            self._check_recording(self.record)
+        for name, path, suffix in (("record", self.record, ".rrd"), ("log", self.log, ".mcap")):
+            if path is not None:
+                _check_new(f"--{name} {path}", path, suffix)
 
-    def _check_recording(self, path: Path) -> None:
-        if path.suffix != ".rrd":
-            raise OptionError(f"--record {path}: expected a name that ends with .rrd")
-        if path.exists():
-            raise OptionError(f"--record {path}: is there already; name another file")
-        if not path.parent.is_dir():
-            raise OptionError(f"--record {path}: there is no folder {path.parent}")
+
+def _check_new(option: str, path: Path, suffix: str) -> None:
+    """Refuse a file that has another suffix, is there already, or has no folder."""
+    if path.suffix != suffix:
+        raise OptionError(f"{option}: expected a name that ends with {suffix}")
+    if path.exists():
+        raise OptionError(f"{option}: is there already; name another file")
+    if not path.parent.is_dir():
+        raise OptionError(f"{option}: there is no folder {path.parent}")

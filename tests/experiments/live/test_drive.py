@@ -32,15 +32,16 @@ def test_what_cannot_be_driven_is_refused(options, message):
         Options(**options)
 
 
-def test_a_recording_must_be_new_and_have_a_place(tmp_path):
-    (tmp_path / "old.rrd").touch()
+@pytest.mark.parametrize(("option", "suffix"), [("record", ".rrd"), ("log", ".mcap")])
+def test_a_file_must_be_new_and_have_a_place(tmp_path, option, suffix):
+    (tmp_path / f"old{suffix}").touch()
     for name, message in (
-        ("old.rrd", "is there already"),
-        ("run.mp4", "ends with .rrd"),
-        ("none/run.rrd", "no folder"),
+        (f"old{suffix}", "is there already"),
+        ("run.mp4", f"ends with {suffix}"),
+        (f"none/run{suffix}", "no folder"),
     ):
-        with pytest.raises(OptionError, match=message):
-            Options(record=tmp_path / name)
+        with pytest.raises(OptionError, match=f"--{option} .*{message}"):
+            Options(**{option: tmp_path / name})
 
 
 def test_a_speed_beyond_the_drawing_is_refused_in_one_line(capsys):

@@ -13,6 +13,7 @@ from rerun.chunk import RrdReader
 
 from tests.experiments import browser
 from tests.experiments.live import pages
+from twin.logs.mapping import read_log
 
 pytestmark = [
     pytest.mark.skipif(browser.PATH is None, reason="no Chromium; `make test` installs it by apt"),
@@ -45,6 +46,7 @@ class Driven:
         places: (n, 2) true places [m].
         ticks: (m,) robot times of `speeds` [s].
         speeds: (m, 4) measured wheel speeds [rad/s].
+        logged: The same from the log.
         status: Exit status of the command after Ctrl+C.
     """
 
@@ -55,6 +57,7 @@ class Driven:
     places: np.ndarray
     ticks: np.ndarray
     speeds: np.ndarray
+    logged: np.ndarray
     status: int
 
 
@@ -106,7 +109,9 @@ def driven(tmp_path_factory):
     folder = tmp_path_factory.mktemp("drive")
     path = folder / "run.rrd"
     spans = {}
-    with pages.serving("drive", "--speed", 0.2, "--record", path) as (process, url):
+    log = folder / "run.mcap"
+    told = pages.serving("drive", "--speed", 0.2, "--record", path, "--log", log)
+    with told as (process, url):
         with browser.Browser(folder / "one") as page:
             page.show(url, 390)
             pages.after(page, 0.5)
@@ -159,7 +164,9 @@ def driven(tmp_path_factory):
         status = process.wait(30.0)
     times, places = columns(path, "/world/rover1/chassis", "Transform3D:translation")
     ticks, speeds = columns(path, "/rover1/sensors/wheel_speeds", "Scalars:scalars")
-    return Driven(spans, seen, joint, times, places.reshape(-1, 3)[:, :2], ticks, speeds, status)
+    logged = read_log(log).signals["rover1/wheel_speeds"].values
+    places = places.reshape(-1, 3)[:, :2]
+    return Driven(spans, seen, joint, times, places, ticks, speeds, logged, status)
 
 
 @pytest.mark.parametrize("way", ["key", "button", "gamepad", "focus", "hidden", "killed"])
@@ -193,6 +200,10 @@ def test_a_key_moves_the_arm(driven):
 
 def test_ctrl_c_ends_it_well(driven):
     assert driven.status == 0
+
+
+def test_log_and_recording_hold_the_same(driven):
+    np.testing.assert_array_equal(driven.logged, driven.speeds.reshape(-1, 4))
 
 
 def test_the_page_is_on_loopback_alone_and_refuses_another_origin():

@@ -1,0 +1,102 @@
+"""A log: what actuators were commanded and what sensors measured, each with its own stamps.
+
+A file holds fields; a mapping makes signals of them.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+
+from perception.geometry.arrays import FloatArray
+
+Role = Literal["actuator", "sensor"]
+
+
+class LogError(ValueError):
+    """A log, or its mapping, that cannot be used; in one line, which names the file."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(" ".join(text.split()))
+
+
+@dataclasses.dataclass(frozen=True)
+class Field:
+    """One column of numbers.
+
+    Attributes:
+        stamps: (n,) times [s]; one array for all fields of a topic or table.
+        values: (n,) numbers in the file's unit; NaN where there is none.
+        notes: What the file says of the field's topic or table, by name.
+    """
+
+    stamps: FloatArray
+    values: FloatArray
+    notes: Mapping[str, str] = dataclasses.field(default_factory=dict[str, str])
+
+
+@dataclasses.dataclass(frozen=True)
+class Signal:
+    """The samples of one actuator's command or one sensor.
+
+    Attributes:
+        role: What it is of.
+        stamps: (n,) times of the samples [s], as recorded.
+        values: (n, k) samples in SI units.
+        unit: Unit of the values, such as "rad/s"; empty where it is not known.
+        frame: Frame in which vectors are given; empty for scalars or where it is not known.
+    """
+
+    role: Role
+    stamps: FloatArray
+    values: FloatArray
+    unit: str = ""
+    frame: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse samples that do not fit their stamps.
+
+        Raises:
+            LogError: Naming the shapes.
+        """
+        stamps, values = np.shape(self.stamps), np.shape(self.values)
+        if len(stamps) != 1 or len(values) != 2 or stamps[0] != values[0]:
+            raise LogError(
+                f"stamps of shape {stamps} and values of {values}: expected (n,), (n, k)"
+            )
+
+    def between(self, begin: float, end: float) -> "Signal":
+        """Return the samples from a time on and before another [s]."""
+        chosen = (self.stamps >= begin) & (self.stamps < end)
+        return dataclasses.replace(self, stamps=self.stamps[chosen], values=self.values[chosen])
+
+
+@dataclasses.dataclass(frozen=True)
+class Log:
+    """Signals of one run.
+
+    Attributes:
+        signals: Signals by the name of their actuator or sensor.
+        source: File that they were read from; empty for none.
+    """
+
+    signals: Mapping[str, Signal]
+    source: str = ""
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last stamp of all signals [s].
+
+        Raises:
+            LogError: If there is no sample.
+        """
+        ends = [each.stamps[[0, -1]] for each in self.signals.values() if len(each.stamps)]
+        if not ends:
+            raise LogError(f"{self.source or 'log'}: no samples")
+        return float(np.min(ends)), float(np.max(ends))
+
+    def between(self, begin: float, end: float) -> "Log":
+        """Return what was recorded from a time on and before another [s]."""
+        cut = {name: each.between(begin, end) for name, each in self.signals.items()}
+        return dataclasses.replace(self, signals=cut)
