@@ -108,18 +108,18 @@ RECIPES = (
         {
             "docs/figure_3-22.png": Shown("figures/figure_3-22.png", 600, 256),
             "docs/figure_3-25.png": Shown("figures/figure_3-25.png"),
-            "docs/figure_3-27b.png": Shown("figures/figure_3-27b.png", 1000, 64),
+            "docs/figure_3-27b.png": Shown("figures/figure_3-27b.png", 1000, 256),
         },
     ),
     _experiment("ch4-planar", {"docs/approach.gif": Shown("approach.gif")}),
     _experiment(
-        "ch4-stereo", {"docs/figure_4-12.png": Shown("figures/figure_4-12.png", 1100, 64)}
+        "ch4-stereo", {"docs/figure_4-12.png": Shown("figures/figure_4-12.png", 1100, 256)}
     ),
     _experiment("ch4-montecarlo", {"docs/table_4-1.png": Shown("figures/table_4-1.png")}),
     _experiment(
         "ch5-insertion --seed 1",
         {
-            "docs/figure_5-12.png": Shown("figures/figure_5-12.png", 579, 64),
+            "docs/figure_5-12.png": Shown("figures/figure_5-12.png", 579, 256),
             "docs/table_5-1.png": Shown("figures/table_5-1.png"),
         },
     ),
