@@ -25,7 +25,7 @@ UNITS: dict[str, tuple[float, str]] = {
     "rev": (2.0 * np.pi, "rad"),
     "rad/s": (1.0, "rad/s"), "deg/s": (np.pi / 180.0, "rad/s"), "rpm": (np.pi / 30.0, "rad/s"),
     "N": (1.0, "N"), "kN": (1e3, "N"), "lbf": (4.4482216152605, "N"),
-    "N m": (1.0, "N m"), "N mm": (1e-3, "N m"), "N cm": (1e-2, "N m"),
+    "N, N m": (1.0, "N, N m"), "N m": (1.0, "N m"), "N mm": (1e-3, "N m"), "N cm": (1e-2, "N m"),
     "V": (1.0, "V"), "mV": (1e-3, "V"), "A": (1.0, "A"), "mA": (1e-3, "A"),
     "Pa": (1.0, "Pa"), "bar": (1e5, "Pa"), "K": (1.0, "K"),
 }  # fmt: skip

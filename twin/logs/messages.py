@@ -4,9 +4,9 @@ Messages are decoded by `rosbags` and `json`; nothing in a file is executed. A m
 its header, by ``stamp`` in seconds, or else by the time at which it was logged.
 """
 
+import array
 import json
 import math
-from array import array
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
@@ -34,7 +34,7 @@ class _Topic:
     """The messages of one topic as columns; those of one layout are kept together."""
 
     def __init__(self) -> None:
-        self.stamps = array("q")  # [ns]
+        self.stamps = array.array("q")  # [ns]
         self._parts: dict[tuple[object, ...], _Part] = {}
 
     def add(self, message: Any, logged: int) -> None:
@@ -77,7 +77,7 @@ class _Part:
 
     def __init__(self, paths: list[str]) -> None:
         self.paths = paths
-        self.numbers, self.places = array("d"), array("q")
+        self.numbers, self.places = array.array("d"), array.array("q")
         self._stamp = [paths.index(path) for path in STAMPS if path in paths]
 
     def stamp(self, values: list[float], logged: int) -> int:

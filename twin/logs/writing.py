@@ -24,7 +24,7 @@ SENSORS = {
     "arm_angles": ("rad", ""),
     "arm_rates": ("rad/s", ""),
     "inclinometer": ("rad", "front half"),
-    "arm_base_wrench": ("", "arm base"),  # newtons, then newton metres
+    "arm_base_wrench": ("N, N m", "arm base"),
     "accelerometer": ("m/s^2", "front half"),
     "gyro": ("rad/s", "front half"),
     "heading": ("rad", ""),
