@@ -49,11 +49,13 @@ class Experiment(Command):
 
     Attributes:
         thesis: The thesis element that it reproduces, for instance "Table 2-1, figures 2-4, 2-5".
-        full: How long a full run takes on two cores; empty if that was not measured.
+        full: About how long a full run takes on two cores; empty if that was not measured.
+        quick: How long a quick run takes.
     """
 
     thesis: str
     full: str = dataclasses.field(default="", kw_only=True)
+    quick: str = dataclasses.field(default="less than a minute", kw_only=True)
 
 
 _ALL: tuple[Experiment, ...] = (
@@ -63,6 +65,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="Table 2-1, figures 2-4 to 2-7",
         module="experiments.ch2.simulation.simulation",
         example="--excitations constant information --seeds 20",
+        full="two hours",
     ),
     Experiment(
         name="ch2-rover",
@@ -70,6 +73,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="Table 2-2, figures 2-9 to 2-12",
         module="experiments.ch2.rover.rover",
         example="--robot emulated --axis roll --seeds 3",
+        full="4 minutes",
     ),
     Experiment(
         name="ch2-payload",
@@ -77,6 +81,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="section 6.2 (c), suggested only",
         module="experiments.ch2.payload",
         example="--duration 20 --robot quantised",
+        full="6 minutes",
     ),
     Experiment(
         name="ch2-friction",
@@ -84,6 +89,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="section 6.2 (b), suggested only",
         module="experiments.ch2.friction",
         example="--realism harsh",
+        full="3 minutes",
     ),
     Experiment(
         name="ch2-diagnosis",
@@ -91,6 +97,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="chapter 2, beyond it",
         module="experiments.ch2.diagnosis",
         example="--seeds 5 --seed 71",
+        full="7 minutes",
     ),
     Experiment(
         name="ch3-planar",
@@ -112,6 +119,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="section 6.2 (d), suggested only",
         module="experiments.ch3.planar.swarm",
         example="--robots 1 5 20",
+        full="9 minutes",
     ),
     Experiment(
         name="ch4-planar",
@@ -119,6 +127,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figures 4-6, 4-8, 4-10, 4-11",
         module="experiments.ch4.planar.planar",
         example="--rings 32 --factor 1.5",
+        full="3 minutes",
     ),
     Experiment(
         name="ch4-montecarlo",
@@ -126,6 +135,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="Table 4-1",
         module="experiments.ch4.montecarlo.montecarlo",
         example="--seeds 100",
+        full="1 minute",
     ),
     Experiment(
         name="ch4-stereo",
@@ -133,6 +143,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figures 4-12, 4-13",
         module="experiments.ch4.spatial.stereo",
         example="--scenes 50 --target hole1",
+        full="3 minutes",
     ),
     Experiment(
         name="ch5-insertion",
@@ -154,6 +165,8 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figure 1-5, chapters 2 to 5 together",
         module="experiments.mission.mission",
         example="--seeds 10 --without paths",
+        full="three hours",
+        quick="four minutes",
     ),
     Experiment(
         name="mission-envelope",
@@ -161,6 +174,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="the thesis' claim: what knowledge of oneself and one's surroundings brings",
         module="experiments.envelope.envelope",
         example="--axes clearance slope --resume",
+        full="a day",
     ),
     Experiment(
         name="appa-control",
@@ -168,6 +182,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figure A-1, equations A-1 to A-4",
         module="experiments.appa.control.control",
         example="--seeds 2",
+        full="2 minutes",
     ),
     Experiment(
         name="appa-tipover",
@@ -175,6 +190,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figure A-4, equation A-5",
         module="experiments.appa.tipover.tipover",
         example="--seeds 3",
+        full="1 minute",
     ),
     Experiment(
         name="appa-truss",
@@ -182,6 +198,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figures A-8 to A-12",
         module="experiments.appa.truss.truss",
         example="--seeds 4",
+        full="4 minutes",
     ),
     Experiment(
         name="appc-compression",
@@ -189,6 +206,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="Table C-1, figure C-2",
         module="experiments.appc.compression",
         example="--views 10",
+        full="3 minutes",
     ),
     Experiment(
         name="appd-calibration",
@@ -196,6 +214,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="Table D-1",
         module="experiments.appd.calibration.calibration",
         example="--seeds 8",
+        full="3 minutes",
     ),
     Experiment(
         name="appd-boards",
@@ -203,6 +222,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figure D-3",
         module="experiments.appd.boards.boards",
         example="--parts matrix",
+        full="4 minutes",
     ),
     Experiment(
         name="appd-radio",
@@ -210,6 +230,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="appendix D, inter-robot communication",
         module="experiments.appd.radio.radio",
         example="--delay 0.02",
+        full="1 minute",
     ),
     Experiment(
         name="appe-workspace",
@@ -217,6 +238,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figure E-5, equations E-1 to E-34",
         module="experiments.appe.arm.workspace",
         example="--stages 4 --extension 0.25",
+        full="5 seconds",
     ),
     Experiment(
         name="appe-inverse",
@@ -224,6 +246,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="section E.3.2",
         module="experiments.appe.arm.inverse",
         example="--targets 100",
+        full="12 minutes",
     ),
     Experiment(
         name="appe-mechanism",
@@ -238,6 +261,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="appendix E with chapter 4, suggested only",
         module="experiments.appe.placement.placement",
         example="--stages 3 --seeds 5",
+        full="5 minutes",
     ),
     Experiment(
         name="appe-bus",
@@ -245,6 +269,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figures E-7, E-8",
         module="experiments.appe.bus.bus",
         example="--seed 1",
+        full="4 minutes",
     ),
     Experiment(
         name="bench",

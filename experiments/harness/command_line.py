@@ -57,8 +57,9 @@ def _more(command: Command, called: str) -> str:
     example = f"Example: {called} {command.example}"
     if not isinstance(command, Experiment):
         return example
-    full = f", a full one {command.full} on two cores" if command.full else ""
-    return f"{example}\n\nA quick run takes less than a minute{full}. Reproduces: {command.thesis}."
+    full = f", a full one about {command.full}" if command.full else ""
+    takes = f"A quick run takes {command.quick} on two cores{full}."
+    return f"{example}\n\n{takes} Reproduces: {command.thesis}."
 
 
 def complain(message: object) -> None:

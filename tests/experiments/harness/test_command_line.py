@@ -179,7 +179,7 @@ def test_help_lists_units_an_example_and_the_time_and_ends_with_status_0(capsys)
     assert stop.value.code == 0
     text = capsys.readouterr().out
     assert "[kg]" in text and "tiny --mass 2 --seeds 5\n" in text
-    assert "less than a minute, a full one ten minutes on two cores" in text
+    assert "less than a minute on two cores, a full one about ten minutes" in text
 
 
 @pytest.mark.parametrize("command", [*EXPERIMENTS.values(), *COMMANDS.values()])
