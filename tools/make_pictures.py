@@ -100,9 +100,17 @@ RECIPES = (
     _experiment(
         "mission --quick --record", {"docs/mission.gif": Shown("mission.gif")}, "four minutes"
     ),
-    _experiment("ch2-rover", {"docs/figure_2-12.png": Shown("figures/figure_2-12.png")}),
-    _experiment("ch2-diagnosis --seed 71", {"docs/changes.png": Shown("figures/changes.png")}),
-    _experiment("ch3-planar", {"docs/figure_3-13.png": Shown("figures/figure_3-13.png")}),
+    _experiment(
+        "ch2-rover", {"docs/figure_2-12.png": Shown("figures/figure_2-12.png")}, "four minutes"
+    ),
+    _experiment(
+        "ch2-diagnosis --seed 71",
+        {"docs/changes.png": Shown("figures/changes.png")},
+        "seven minutes",
+    ),
+    _experiment(
+        "ch3-planar", {"docs/figure_3-13.png": Shown("figures/figure_3-13.png")}, "twelve minutes"
+    ),
     _experiment(
         "ch3-stereo",
         {
@@ -111,11 +119,15 @@ RECIPES = (
             "docs/figure_3-27b.png": Shown("figures/figure_3-27b.png", 1000, 256),
         },
     ),
-    _experiment("ch4-planar", {"docs/approach.gif": Shown("approach.gif")}),
+    _experiment("ch4-planar", {"docs/approach.gif": Shown("approach.gif")}, "three minutes"),
     _experiment(
-        "ch4-stereo", {"docs/figure_4-12.png": Shown("figures/figure_4-12.png", 1100, 256)}
+        "ch4-stereo",
+        {"docs/figure_4-12.png": Shown("figures/figure_4-12.png", 1100, 256)},
+        "three minutes",
     ),
-    _experiment("ch4-montecarlo", {"docs/table_4-1.png": Shown("figures/table_4-1.png")}),
+    _experiment(
+        "ch4-montecarlo", {"docs/table_4-1.png": Shown("figures/table_4-1.png")}, "one minute"
+    ),
     _experiment(
         "ch5-insertion --seed 1",
         {
@@ -128,7 +140,9 @@ RECIPES = (
         f"-m twin.recording.record screenshot {OUT}/ch5-insertion/run.rrd {OUT}/viewer.png",
         {"docs/viewer.png": Shown(f"{OUT}/viewer.png", 1200, 64)},
     ),
-    _experiment("appd-boards", {"docs/fault_stops.png": Shown("figures/fault_stops.png")}),
+    _experiment(
+        "appd-boards", {"docs/fault_stops.png": Shown("figures/fault_stops.png")}, "four minutes"
+    ),
     _experiment(
         "bench --only markers", {"docs/fiducials.png": Shown("figures/fiducials.png")}
     ),

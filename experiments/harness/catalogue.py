@@ -105,6 +105,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figures 3-6, 3-8, 3-12 to 3-21",
         module="experiments.ch3.planar.planar",
         example="--world plan.png --pixel 0.05 --methods max_new information",
+        full="12 minutes",
     ),
     Experiment(
         name="ch3-stereo",

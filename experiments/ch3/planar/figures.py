@@ -90,7 +90,7 @@ def world_figure(world: World) -> Figure:
 
 def curve_figure(runs: MethodRuns) -> Figure:
     """Draw fraction mapped and distance over scans: medians, and the middle half of the seeds."""
-    figure = Figure(figsize=(11, 4.5))
+    figure = Figure(figsize=(11, 5.2))
     left, right = figure.subplots(1, 2)
     for method, chosen in runs.items():
         longest = max(len(run.fraction) for run in chosen)
@@ -107,7 +107,9 @@ def curve_figure(runs: MethodRuns) -> Figure:
     left.set(ylabel="fraction mapped", ylim=(0.0, 1.0))
     right.set(ylabel="distance moved, all robots [m]")
     right.set_yscale("symlog", linthresh=100.0)
-    left.legend(loc="lower right", title="median and middle half")
+    figure.subplots_adjust(bottom=0.26)
+    lines = left.get_legend_handles_labels()
+    figure.legend(*lines, loc="lower center", ncols=4, title="median and middle half")
     for axes in (left, right):
         axes.set_xlabel("scan number of each robot")
         axes.grid(alpha=0.3)
