@@ -60,7 +60,7 @@ class _Topic:
         stamps = 1e-9 * (np.array(self.stamps, dtype=np.int64) - origin).astype(float)
         columns: dict[str, FloatArray] = {}
         for part in self._parts.values():
-            rows = np.frombuffer(part.numbers).reshape(len(part.places), -1)
+            rows = np.array(part.numbers).reshape(len(part.places), len(part.paths))
             for path, values in zip(part.paths, rows.T):
                 if path not in STAMPS:
                     column = columns.setdefault(path, np.full(len(stamps), np.nan))

@@ -65,16 +65,19 @@ def test_a_damaged_recording_does_not_end_the_program(tmp_path):
         read_fields(path)
 
 
-def test_lists_of_images_and_clouds_take_no_columns(tmp_path):
+def test_images_clouds_and_words_take_no_columns(tmp_path):
     path = tmp_path / "run.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start()
         schema = writer.register_schema("any", "jsonschema", b"{}")
         topic = writer.register_channel("/cloud", "json", schema)
+        words = writer.register_channel("/words", "json", schema)
         for tick in range(3):
             message = {"points": [0.5] * 20_000, "pixels": [[1, 2]] * 20_000, "count": tick}
             writer.add_message(topic, tick, json.dumps(message).encode(), tick)
+            writer.add_message(words, tick, b'{"data": "hello"}', tick)
+            writer.add_message(words, tick, b'"hello"', tick)
         writer.finish()
     fields = read_fields(path)
     assert list(fields) == ["/cloud.count"]
