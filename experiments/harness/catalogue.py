@@ -49,7 +49,8 @@ class Experiment(Command):
 
     Attributes:
         thesis: The thesis element that it reproduces, for instance "Table 2-1, figures 2-4, 2-5".
-        full: About how long a full run takes on two cores; empty if that was not measured.
+        full: About how long a full run takes on two cores, measured or by the time of a part of it;
+            empty if neither is known.
         quick: How long a quick run takes.
     """
 

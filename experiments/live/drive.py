@@ -21,7 +21,7 @@ from models.compose import ROUGH
 from twin.camera import StereoConfig
 from twin.clock import PacedClock, WallClock
 from twin.connect import Connection, connect
-from twin.logs.writing import LogWriter
+from twin.logs.writing import SENSORS, LogWriter
 from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
 from twin.recording.record import Recorder
@@ -32,17 +32,6 @@ PAGE = Path(__file__).with_name("drive.html")
 _FIELD = dataclasses.replace(ROUGH, shadows=False)  # They take half of an image's time.
 _PERIOD = 0.05  # Robot time between two states that are shown [s].
 _LONGEST = 1e6  # Robot time after which a drive ends [s].
-_UNITS: Mapping[str, str] = {
-    "wheel_speeds": "rad/s",
-    "centre_angle": "rad",
-    "arm_angles": "rad",
-    "arm_rates": "rad/s",
-    "inclinometer": "rad",
-    "arm_base_wrench": "N, N m",
-    "accelerometer": "m/s²",
-    "gyro": "rad/s",
-    "heading": "rad",
-}
 
 
 def run(options: Options) -> int:
@@ -149,4 +138,4 @@ def shown(name: str, channel: Channel) -> Mapping[str, Any]:
     """Return a channel as the page shows it: its values are none while it is missing."""
     values = [round(float(value), 3) for value in channel.value]
     state = channel.validity.value
-    return {"name": name, "unit": _UNITS[name], "values": values, "validity": state}
+    return {"name": name, "unit": SENSORS[name][0], "values": values, "validity": state}

@@ -32,7 +32,7 @@ MAP = 2**31
 RECORDING = 2**32
 """A recording for the viewer [byte]."""
 LOG = 2**32
-"""A log of a robot, file or folder [byte]; an hour of 20 channels at 1 kHz has 1.5 GB as JSON."""
+"""A log of a robot, file or folder [byte]."""
 _FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP", "GIF")
 
 

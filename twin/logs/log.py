@@ -66,11 +66,6 @@ class Signal:
                 f"stamps of shape {stamps} and values of {values}: expected (n,), (n, k)"
             )
 
-    def between(self, begin: float, end: float) -> "Signal":
-        """Return the samples from a time on and before another [s]."""
-        chosen = (self.stamps >= begin) & (self.stamps < end)
-        return dataclasses.replace(self, stamps=self.stamps[chosen], values=self.values[chosen])
-
 
 @dataclasses.dataclass(frozen=True)
 class Log:
@@ -78,25 +73,6 @@ class Log:
 
     Attributes:
         signals: Signals by the name of their actuator or sensor.
-        source: File that they were read from; empty for none.
     """
 
     signals: Mapping[str, Signal]
-    source: str = ""
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """First and last stamp of all signals [s].
-
-        Raises:
-            LogError: If there is no sample.
-        """
-        ends = [each.stamps[[0, -1]] for each in self.signals.values() if len(each.stamps)]
-        if not ends:
-            raise LogError(f"{self.source or 'log'}: no samples")
-        return float(np.min(ends)), float(np.max(ends))
-
-    def between(self, begin: float, end: float) -> "Log":
-        """Return what was recorded from a time on and before another [s]."""
-        cut = {name: each.between(begin, end) for name, each in self.signals.items()}
-        return dataclasses.replace(self, signals=cut)

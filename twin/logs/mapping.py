@@ -125,7 +125,7 @@ def read_log(path: Path, mapping: LogMapping | None = None) -> Log:
         fields = read_fields(path, mapping.time, scale, mapping.episode)
         sources = mapping.sources
     try:
-        return Log({name: each.signal(fields) for name, each in sources.items()}, str(path))
+        return Log({name: each.signal(fields) for name, each in sources.items()})
     except LogError as error:
         raise LogError(f"{path}: {error}") from None
 

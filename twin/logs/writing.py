@@ -1,4 +1,4 @@
-"""Logs as MCAP files, of a run as it goes or of a log as a whole.
+"""Logs of our runs as MCAP files, written as they go.
 
 Each signal is a topic of JSON messages, ``{"stamp": seconds, "value": [...]}``; role, name, unit
 and frame stand in the channel's metadata, so that `read_log` needs no mapping.
@@ -14,7 +14,7 @@ import numpy as np
 from mcap.writer import Writer
 from numpy.typing import ArrayLike
 
-from twin.logs.log import Log, Role
+from twin.logs.log import Role
 from twin.loop import LoopRecorder, Tick
 from twin.robot import Channel
 
@@ -116,20 +116,3 @@ class LogWriter(LoopRecorder):
         data = json.dumps({"stamp": float(stamp), "value": numbers}).encode()
         time = max(0, round(1e9 * stamp))  # of the file, which knows no time before zero
         self._writer.add_message(self._channels[name], time, data, time)
-
-
-def write_mcap(log: Log, path: Path) -> None:
-    """Write a log as an MCAP file.
-
-    Raises:
-        OSError: If it cannot be written.
-    """
-    with LogWriter(path) as writer:
-        samples = sorted(
-            (stamp, name, index)
-            for name, signal in log.signals.items()
-            for index, stamp in enumerate(signal.stamps)
-        )
-        for stamp, name, index in samples:
-            each = log.signals[name]
-            writer.write(each.role, name, stamp, each.values[index], each.unit, each.frame)

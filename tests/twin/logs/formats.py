@@ -34,6 +34,15 @@ class Run:
         return 1e-9 * (self.ticks - self.begin // NANO * NANO).astype(float)
 
 
+def mapping(joints, gyro, motors):
+    """The mapping of a log in SI units, by the names of its fields."""
+    return (
+        f"[sensors.joints]\nfields = {joints}\nunit = 'rad'\n"
+        f"[sensors.gyro]\nfields = {gyro}\nunit = 'rad/s'\nframe = 'base'\n"
+        f"[actuators.motors]\nfields = {motors}\nunit = 'N m'\n"
+    )
+
+
 def write_csv(run, path):
     """Milliseconds, degrees, and one motor turned the other way."""
     with path.open("w", newline="") as stream:
@@ -82,18 +91,11 @@ def messages(run):
         yield "/commands", "std_msgs/msg/Float64MultiArray", (layout, torques), tick
 
 
-ROS_MAPPING = """
-[sensors.joints]
-fields = ["/joint_states.position[elbow]", "/joint_states.position[wrist]"]
-unit = "rad"
-[sensors.gyro]
-fields = ["/imu.angular_velocity.x", "/imu.angular_velocity.y", "/imu.angular_velocity.z"]
-unit = "rad/s"
-frame = "base"
-[actuators.motors]
-fields = ["/commands.data[0]", "/commands.data[1]"]
-unit = "N m"
-"""
+ROS_MAPPING = mapping(
+    ["/joint_states.position[elbow]", "/joint_states.position[wrist]"],
+    ["/imu.angular_velocity.x", "/imu.angular_velocity.y", "/imu.angular_velocity.z"],
+    ["/commands.data[0]", "/commands.data[1]"],
+)
 
 
 def write_bag(run, path, storage="sqlite3", late=0):
@@ -168,19 +170,11 @@ def write_lerobot(run, path, episodes=2):
     return path
 
 
-LEROBOT_MAPPING = """
-episode = 1
-[sensors.joints]
-fields = ["observation.state[elbow]", "observation.state[wrist]"]
-unit = "rad"
-[sensors.gyro]
-fields = ["observation.state[gx]", "observation.state[gy]", "observation.state[gz]"]
-unit = "rad/s"
-frame = "base"
-[actuators.motors]
-fields = ["action[m1]", "action[m2]"]
-unit = "N m"
-"""
+LEROBOT_MAPPING = "episode = 1\n" + mapping(
+    ["observation.state[elbow]", "observation.state[wrist]"],
+    ["observation.state[gx]", "observation.state[gy]", "observation.state[gz]"],
+    ["action[m1]", "action[m2]"],
+)
 
 
 def write_recording(run, path):
@@ -195,15 +189,8 @@ def write_recording(run, path):
     return path
 
 
-RECORDING_MAPPING = """
-[sensors.joints]
-fields = ["/robot/joints[0]", "/robot/joints[1]"]
-unit = "rad"
-[sensors.gyro]
-fields = ["/robot/gyro[0]", "/robot/gyro[1]", "/robot/gyro[2]"]
-unit = "rad/s"
-frame = "base"
-[actuators.motors]
-fields = ["/robot/motors[0]", "/robot/motors[1]"]
-unit = "N m"
-"""
+RECORDING_MAPPING = mapping(
+    ["/robot/joints[0]", "/robot/joints[1]"],
+    ["/robot/gyro[0]", "/robot/gyro[1]", "/robot/gyro[2]"],
+    ["/robot/motors[0]", "/robot/motors[1]"],
+)

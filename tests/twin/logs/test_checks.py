@@ -112,13 +112,3 @@ def test_too_few_samples_are_told():
 def test_stamps_and_values_have_to_fit():
     with pytest.raises(LogError, match=r"\(3,\) and values of \(2, 1\)"):
         Signal("sensor", np.zeros(3), np.zeros((2, 1)))
-
-
-def test_a_part_of_a_log_has_its_span():
-    log = Log({"tilt": sound(), "other": dataclasses.replace(sound(), stamps=STAMPS + 1.0)})
-    assert log.span == pytest.approx((2.0, 7.99))
-    part = log.between(3.0, 4.0)
-    assert part.span == pytest.approx((3.0, 3.99))
-    assert len(part.signals["tilt"].stamps) == 100
-    with pytest.raises(LogError, match="no samples"):
-        _ = log.between(20.0, 30.0).span

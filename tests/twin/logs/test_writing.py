@@ -6,10 +6,8 @@ import numpy as np
 from mcap.reader import make_reader
 
 from tests.twin import scene
-from tests.twin.logs import formats
-from twin.logs.log import Log
-from twin.logs.mapping import read_log, read_mapping
-from twin.logs.writing import SENSORS, LogWriter, write_mcap
+from twin.logs.mapping import read_log
+from twin.logs.writing import SENSORS, LogWriter
 from twin.loop import LoopRecorder, run
 from twin.robot import Command, WheelMode
 from twin.simulation import Simulation
@@ -84,22 +82,17 @@ def test_its_file_is_what_the_library_reads(tmp_path):
     )
 
 
-def test_a_foreign_log_becomes_one_of_ours(tmp_path):
-    run = formats.Run(2)
-    (tmp_path / "map.toml").write_text(formats.CSV_MAPPING)
-    mapping = read_mapping(tmp_path / "map.toml")
-    log = read_log(formats.write_csv(run, tmp_path / "run.csv"), mapping)
-    log.signals["joints"].values[3, 1] = np.nan
-    write_mcap(log, tmp_path / "ours.mcap")
-    back = read_log(tmp_path / "ours.mcap")
-    assert set(back.signals) == set(log.signals)
-    for name, signal in log.signals.items():
-        np.testing.assert_array_equal(back.signals[name].values, signal.values)
-        np.testing.assert_allclose(back.signals[name].stamps, signal.stamps, atol=1e-9)
-        assert back.signals[name].unit == signal.unit and back.signals[name].frame == signal.frame
+def test_what_is_no_number_and_before_zero_is_kept(tmp_path):
+    with LogWriter(tmp_path / "run.mcap") as writer:
+        writer.write("sensor", "tilt", -0.02, [0.5, np.nan], "rad", "base")
+        writer.write("sensor", "tilt", 0.02, [np.inf, 0.25], "rad", "base")
+    (tilt,) = read_log(tmp_path / "run.mcap").signals.values()
+    np.testing.assert_array_equal(tilt.values, [[0.5, np.nan], [np.nan, 0.25]])
+    np.testing.assert_allclose(tilt.stamps, [-0.02, 0.02])
 
 
 def test_a_log_without_samples_is_one(tmp_path):
-    write_mcap(Log({}), tmp_path / "none.mcap")
+    with LogWriter(tmp_path / "none.mcap"):
+        pass
     with (tmp_path / "none.mcap").open("rb") as stream:
         assert list(make_reader(stream).iter_messages()) == []
