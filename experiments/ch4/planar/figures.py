@@ -170,8 +170,9 @@ def _draw_targets(axes: Axes, targets: Sequence[Target]) -> None:
         colour = COLOURS[target.name]
         axes.plot(*(target.position + target.outline).T, color=colour, linewidth=3)
         x, y = map(float, target.position)
-        axes.annotate(target.name, (x - 2.0, y), color=colour, ha="right",
-                      va="center", fontsize="small")  # fmt: skip
+        box = {"facecolor": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0.0}
+        axes.annotate(target.name, (x - 5.0, y), color=colour, ha="right",
+                      va="center", fontsize="small", bbox=box)  # fmt: skip
 
 
 def _draw_view(axes: Axes, task: PlanarTask, view: View) -> None:
