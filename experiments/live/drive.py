@@ -5,7 +5,9 @@ The page shows what the rover observes, and nothing else of its scene.
 
 import contextlib
 import dataclasses
-from collections.abc import Mapping
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -52,25 +54,49 @@ def run(options: Options) -> int:
             stereo=StereoConfig(),
             seed=options.seed or 0,
         ) as connection,
+        told_to_end() as ended,
     ):
         where = f"open {server.url} in a browser to drive; Ctrl+C ends it"
         Console().print(where, soft_wrap=True)
         try:
-            drive(connection, server, options)
-        except KeyboardInterrupt as ended:
+            drive(connection, server, options, ended.is_set)
+        except KeyboardInterrupt as at_once:
             # What the loop adds to it says how far the stop is confirmed.
-            if notes := getattr(ended, "__notes__", []):
+            if notes := getattr(at_once, "__notes__", []):
                 raise RobotError("; ".join(notes)) from None
     return 0
 
 
-def drive(connection: Connection, server: PageServer, options: Options) -> None:
+@contextlib.contextmanager
+def told_to_end() -> Iterator[threading.Event]:
+    """Let the first Ctrl+C set an event, so that all recorders end with a whole tick.
+
+    Another one interrupts at once.
+    """
+    told = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+
+    def tell(*_: object) -> None:
+        told.set()
+        signal.signal(signal.SIGINT, before)
+
+    signal.signal(signal.SIGINT, tell)
+    try:
+        yield told
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def drive(
+    connection: Connection, server: PageServer, options: Options, ended: Callable[[], bool]
+) -> None:
     """Let a person drive the rover of a connection.
 
     Args:
         connection: Connection with one rover.
         server: Server of its page.
         options: Options of the drive.
+        ended: Whether the person ended it, asked after each tick.
 
     Raises:
         OptionError: If the rover cannot be as fast.
@@ -92,7 +118,7 @@ def drive(connection: Connection, server: PageServer, options: Options) -> None:
             recorders.append(stack.enter_context(recorder))
         if options.log is not None:
             recorders.append(stack.enter_context(LogWriter(options.log)))
-        run_loop(connection.robots, [hand], clock, recorders, _LONGEST)
+        run_loop(connection.robots, [hand], clock, recorders, _LONGEST, ended)
 
 
 class DrivePage(LoopRecorder):

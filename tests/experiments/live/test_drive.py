@@ -1,13 +1,14 @@
 """What a drive refuses, what it shows, and how it ends on boards."""
 
 import json
+import signal
 
 import numpy as np
 import pytest
 
 from experiments.__main__ import main
 from experiments.harness.contract import OptionError
-from experiments.live.drive import drive, shown
+from experiments.live.drive import drive, shown, told_to_end
 from experiments.live.drive_options import Options
 from twin.connect import connect
 from twin.robot import MISSING, Channel, Lifecycle, Validity
@@ -79,9 +80,19 @@ def test_motors_on_boards_are_at_rest_however_a_drive_ends(ends):
         (robot,) = connection.robots.values()
         begin = np.array(connection.emulator.state()[robot.name]["angles"])
         with pytest.raises(type(ends)):
-            drive(connection, Person(ends), Options(robot="emulated"))
+            drive(connection, Person(ends), Options(robot="emulated"), bool)
         assert robot.lifecycle is Lifecycle.INACTIVE
         connection.clock.tick()
         truth = connection.emulator.state()[robot.name]
         assert np.min(truth["angles"][:4] - begin[:4]) > 1.0
         assert not np.any(truth["codes"])
+
+
+def test_the_first_ctrl_c_ends_a_drive_between_ticks_and_another_at_once():
+    before = signal.getsignal(signal.SIGINT)
+    with told_to_end() as told:
+        signal.raise_signal(signal.SIGINT)
+        assert told.is_set()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is before
