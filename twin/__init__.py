@@ -12,6 +12,7 @@ In reading order:
 - `camera`: stereo heads, drawn when a pair is read; `optics`: what lenses, shutters and mountings
   make of it.
 - `recording`: recordings and pictures for the rerun viewer; `logs`: logs of any robot, in and out.
+- `prediction`: any MuJoCo model's parameters by name, and what its sensors would read.
 - `environment`: the same scene for dm_control.
 - `hardware`: robots over real and emulated boards (thesis appendix D).
 """

@@ -19,6 +19,8 @@ The arm on known ground, section 6.2:
 - `arm_sensing`: log of a run, and joint and base motion from it.
 - `payload`: what the gripper holds (section 6.2 c).
 - `friction`: friction under the wheels and onset of slip (section 6.2 b).
+
+Any robot's model: `any_model`.
 """
 
 # Names of the excitations, apart from what they do: options need no more.

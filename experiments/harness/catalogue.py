@@ -324,6 +324,12 @@ COMMANDS: dict[str, Command] = {
             example="run.mcap --mapping robot.toml",
         ),
         Command(
+            "identify",
+            "the parameters of any MuJoCo model from logs of its robot, with bands and a verdict",
+            "experiments.own.identify",
+            example="--model robot.xml --log a.mcap --hold-out b.mcap --parameters joint.*",
+        ),
+        Command(
             "report",
             "all results beside the thesis' in OUT/report.html",
             "experiments.report.report",

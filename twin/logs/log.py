@@ -4,6 +4,7 @@ A file holds fields; a mapping makes signals of them.
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from typing import Literal
 
@@ -46,6 +47,7 @@ class Signal:
         values: (n, k) samples in SI units.
         unit: Unit of the values, such as "rad/s"; empty where it is not known.
         frame: Frame in which vectors are given; empty for scalars or where it is not known.
+        noise: Standard deviation of a sensor's noise, in the unit of the values; NaN if not known.
     """
 
     role: Role
@@ -53,6 +55,7 @@ class Signal:
     values: FloatArray
     unit: str = ""
     frame: str = ""
+    noise: float = math.nan
 
     def __post_init__(self) -> None:
         """Refuse samples that do not fit their stamps.

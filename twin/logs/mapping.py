@@ -5,6 +5,7 @@ say of themselves.
 """
 
 import dataclasses
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar, cast
@@ -32,7 +33,7 @@ UNITS: dict[str, tuple[float, str]] = {
 """What a unit is in SI units, and the name of that one."""
 _ROLES: dict[str, Role] = {"actuators": "actuator", "sensors": "sensor"}
 _Item = TypeVar("_Item")
-_KEYS = {"field", "fields", "unit", "sign", "delay", "frame"}
+_KEYS = {"field", "fields", "unit", "sign", "delay", "frame", "noise"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,6 +47,7 @@ class Source:
         signs: One factor, 1 or -1, for each field.
         delay: Age of a sample at its stamp [s].
         frame: Frame of a vector.
+        noise: Standard deviation of a sensor's noise, in the fields' unit; NaN if not known.
     """
 
     role: Role
@@ -54,6 +56,7 @@ class Source:
     signs: tuple[float, ...] = ()
     delay: float = 0.0
     frame: str = ""
+    noise: float = math.nan
 
     def signal(self, fields: Mapping[str, Field]) -> Signal:
         """Return its samples in SI units.
@@ -71,7 +74,8 @@ class Source:
         factor, unit = UNITS[self.unit]
         signs = np.array(self.signs or [1.0] * len(chosen))
         values = factor * signs * np.column_stack([each.values for each in chosen])
-        return Signal(self.role, stamps - self.delay, values, unit, self.frame)
+        noise = factor * self.noise
+        return Signal(self.role, stamps - self.delay, values, unit, self.frame, noise)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -181,8 +185,12 @@ def _source(where: str, role: Role, entry: Any) -> Source:
     frame, delay = table.get("frame", ""), table.get("delay", 0.0)
     if not isinstance(frame, str):
         raise LogError(f"{where}: frame is a name")
+    noise = table.get("noise", math.nan)
+    if not isinstance(noise, int | float) or noise <= 0.0:
+        raise LogError(f"{where}: noise is a number above 0, in the unit of the fields")
     unit = _unit(f"{where}: unit", table.get("unit", ""), None)
-    return Source(role, tuple(names), unit, tuple(signs), _seconds(f"{where}: delay", delay), frame)
+    late = _seconds(f"{where}: delay", delay)
+    return Source(role, tuple(names), unit, tuple(signs), late, frame, float(noise))
 
 
 def _is_list_of(kind: type[_Item], value: Any) -> TypeGuard[list[_Item]]:

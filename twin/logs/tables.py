@@ -27,7 +27,7 @@ TIMES = ("time", "t", "stamp", "timestamp")
 
 
 def read_csv(path: Path, time: str, time_unit: float) -> dict[str, Field]:
-    """Read a CSV file with a line of names; columns of text are left out.
+    """Read a CSV file with a line of names; columns of text and empty cells are left out.
 
     Args:
         path: The file.
@@ -48,11 +48,13 @@ def read_csv(path: Path, time: str, time_unit: float) -> dict[str, Field]:
     stamps = numbers.pop(found)
     if stamps is None:
         raise LogError(f"{path}: column {found} holds no numbers")
-    return {
-        name: Field(time_unit * stamps, values)
-        for name, values in numbers.items()
-        if values is not None
-    }
+    fields: dict[str, Field] = {}
+    for name, values in numbers.items():
+        if values is not None:
+            # An empty cell is no sample: tables join what was sampled at other times.
+            there = table.column(name).is_valid().to_numpy()
+            fields[name] = Field(time_unit * stamps[there], values[there])
+    return fields
 
 
 def read_lerobot(path: Path, episode: int) -> dict[str, Field]:

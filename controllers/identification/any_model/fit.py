@@ -1,0 +1,292 @@
+"""Fit of any model's parameters to what was measured, and what the measurements can tell of them.
+
+The model is a function from coordinates to what its sensors would read. Each coordinate has a
+standard normal distribution beforehand, and the fit is the most probable point (maximum a
+posteriori), found by Levenberg and Marquardt's steps.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from controllers.identification.information import mutual_information
+from perception.geometry.arrays import BoolArray, FloatArray
+
+Predict = Callable[[FloatArray], FloatArray]
+"""From (m, n) coordinates to (m, r) predictions; NaN where they cannot be made."""
+
+COARSE = 1e-3
+"""Step of a coordinate from which on derivatives need steps to both sides."""
+MOST_STEPS = 30
+"""Most steps of a fit."""
+SMALLEST_GAIN = 0.01
+"""Gain of the logarithm of the probability at which a fit has converged."""
+LONGEST = 1.0
+"""Longest step of a coordinate, in deviations beforehand: a model far off may not stay upright."""
+DAMPING = 1e-3
+"""Share of the information's diagonal that is added to it in the first step."""
+MOST_DAMPING = 1e6
+"""Damping beyond which no step leads on."""
+SUSPECT = 2.0
+"""Chi^2 per sample above which an optimum may be a local one, and is left if a jump leads lower."""
+SMALL_GAIN = 0.01
+"""Gain of a step, over all that there is to gain, that is hardly worth one."""
+JUMPS = (-2.0, -1.0, -0.5, -0.25, 0.25, 0.5, 1.0, 2.0)
+"""Jumps of one coordinate that are tried there, in deviations beforehand."""
+SCAN = np.arange(0.0, 2.6, 0.125)
+"""Values of a coordinate that ends at zero that are tried before a fit, above its start."""
+MOST_JUMPS = 3
+"""Most jumps of a fit."""
+SHRINKAGE = 0.5
+"""A parameter of which the deviation stays above this share of the one beforehand was not told."""
+RANGE = 2.0
+"""Range on which information is counted in bits, in deviations beforehand to either side."""
+NOTED = 0.2
+"""Least weight of a parameter that is named in a combination."""
+
+
+class FitError(ValueError):
+    """Measurements to which the model cannot be fitted; in one line."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Measurements:
+    """What was measured.
+
+    Attributes:
+        values: (r,) samples; all finite.
+        sigma: (r,) standard deviations of their noise.
+        channels: Where the samples of each channel are.
+        steps: (n,) steps of the coordinates that derivatives need.
+    """
+
+    values: FloatArray
+    sigma: FloatArray
+    channels: Sequence[slice]
+    steps: FloatArray
+
+    def heat(self, residuals: FloatArray) -> FloatArray:
+        """Return by how much the noise's variance has to be larger to explain residuals.
+
+        Args:
+            residuals: (r,) over `sigma`.
+
+        Returns:
+            (r,) factors, 1 or more: a channel's chi^2 per sample.
+        """
+        heat = np.ones(len(residuals))
+        for channel in self.channels:
+            heat[channel] = max(1.0, float(np.mean(residuals[channel] ** 2)))
+        return heat
+
+
+@dataclasses.dataclass(frozen=True)
+class Told:
+    """What measurements tell of each coordinate.
+
+    Attributes:
+        sigma: (n,) deviations left, of one beforehand.
+        bits: (n,) mutual information (Thesis eq. 2-12b) in a range of two deviations to each side.
+        unknown: Names of the coordinates that are hardly told.
+        combinations: What stays unknown, as name -> weight, largest weights first.
+    """
+
+    sigma: FloatArray
+    bits: FloatArray
+    unknown: tuple[str, ...]
+    combinations: tuple[Mapping[str, float], ...]
+
+
+@dataclasses.dataclass(frozen=True)
+class Fit:
+    """Result of a fit.
+
+    Attributes:
+        coordinates: (n,) the fitted point.
+        information: (n, n) of the measurements alone, each channel as noisy as its residuals say.
+        residuals: (r,) what was measured less what is predicted, over the noise's deviation.
+        gain_left: What another step promises to gain of the logarithm of the probability.
+        steps: Number of steps.
+    """
+
+    coordinates: FloatArray
+    information: FloatArray
+    residuals: FloatArray
+    gain_left: float
+    steps: int
+
+    @property
+    def chi_square(self) -> float:
+        """Squared residuals per sample; 1 when the model explains all but the noise."""
+        return float(np.mean(self.residuals**2))
+
+    @property
+    def converged(self) -> bool:
+        """True when another step would gain next to nothing."""
+        return self.gain_left <= SMALLEST_GAIN
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(n, n) of the coordinates."""
+        return np.linalg.inv(self.information + np.eye(len(self.information))).astype(np.float64)
+
+
+def fit(
+    predict: Predict,
+    measured: Measurements,
+    lowest: FloatArray,
+    start: FloatArray | None = None,
+    watch: Callable[[int, float], None] = lambda step, chi_square: None,
+) -> Fit:
+    """Fit coordinates to measurements.
+
+    Args:
+        predict: The model.
+        measured: What was measured.
+        lowest: (n,) least values of the coordinates; minus infinity where there is none.
+        start: (n,) where to begin; at what is likeliest beforehand unless given.
+        watch: Called with the number of each step and the chi^2 per sample before it.
+
+    Raises:
+        FitError: If the model diverges where it begins.
+    """
+    x = np.maximum(np.zeros(len(lowest)) if start is None else start, lowest)
+    x = _scanned(predict, measured, x, lowest)
+    damping, step, left = DAMPING, 0, MOST_JUMPS
+    while True:
+        residuals, rows = _linearised(predict, measured, x)
+        watch(step, float(np.mean(residuals**2)))
+        # A channel far off counts for less, or what the measurements hardly tell would run away.
+        heat = measured.heat(residuals)
+        information = rows.T @ (rows / heat[:, None])
+        gradient = x - rows.T @ (residuals / heat)
+        free = (x > lowest) | (gradient < 0.0)
+        posterior = information + np.eye(len(x))
+        gain = -0.5 * float(gradient @ _solve(posterior, gradient, free))
+        done = Fit(x, information, residuals, gain, step)
+        if step == MOST_STEPS:
+            return done
+        stalled = done.converged or gain < SMALL_GAIN * _cost(residuals, heat, x)
+        better = None
+        if stalled and left and done.chi_square > SUSPECT:
+            better, left = _jump(predict, measured, done, lowest), left - 1
+        if better is None and not done.converged:
+            better, damping = _descent(predict, measured, done, lowest, gradient, free, damping)
+        if better is None:
+            return done
+        x, step = better, step + 1
+
+
+def _scanned(
+    predict: Predict, measured: Measurements, x: FloatArray, lowest: FloatArray
+) -> FloatArray:
+    """Return a start at which each coordinate that ends at zero is likeliest, one after another.
+
+    These are delays above all, of which many values are better than those beside them where
+    commands come in steps.
+    """
+    for index in np.flatnonzero(np.isfinite(lowest)):
+        trials = np.repeat(x[None], len(SCAN), axis=0)
+        trials[:, index] += SCAN
+        off = (measured.values - predict(trials)) / measured.sigma
+        heat = measured.heat(off[0])
+        costs = [_cost(each, heat, trial) for each, trial in zip(off, trials, strict=True)]
+        x = trials[int(np.nanargmin(costs))]
+    return x
+
+
+def _descent(
+    predict: Predict,
+    measured: Measurements,
+    now: Fit,
+    lowest: FloatArray,
+    gradient: FloatArray,
+    free: BoolArray,
+    damping: float,
+) -> tuple[FloatArray | None, float]:
+    """Return a point that is likelier, or none, and the damping to go on with."""
+    posterior = now.information + np.eye(len(gradient))
+    heat = measured.heat(now.residuals)
+    cost = _cost(now.residuals, heat, now.coordinates)
+    while damping < MOST_DAMPING:
+        move = _solve(posterior + damping * np.diag(np.diag(posterior)), gradient, free)
+        move *= min(1.0, LONGEST / np.abs(move).max())
+        trial = np.maximum(now.coordinates + move, lowest)
+        off = (measured.values - predict(trial[None])[0]) / measured.sigma
+        if _cost(off, heat, trial) < cost:  # never of NaN
+            return trial, damping / 10.0
+        damping *= 10.0
+    return None, DAMPING
+
+
+def _jump(
+    predict: Predict, measured: Measurements, now: Fit, lowest: FloatArray
+) -> FloatArray | None:
+    """Return a likelier point at which one coordinate is elsewhere, or none."""
+    count = len(lowest)
+    moves = [jump * row for row in np.eye(count) for jump in JUMPS]
+    trials = np.maximum(now.coordinates + np.array(moves), lowest)
+    off = (measured.values - predict(trials)) / measured.sigma
+    heat = measured.heat(now.residuals)
+    costs = [_cost(each, heat, trial) for each, trial in zip(off, trials, strict=True)]
+    best = int(np.nanargmin(costs))
+    return trials[best] if costs[best] < _cost(now.residuals, heat, now.coordinates) else None
+
+
+def _cost(residuals: FloatArray, heat: FloatArray, x: FloatArray) -> float:
+    return float(0.5 * (residuals @ (residuals / heat) + x @ x))
+
+
+def information_of(predict: Predict, measured: Measurements, x: FloatArray) -> FloatArray:
+    """Return the Fisher information (n, n) that measurements have at coordinates (n,)."""
+    _, rows = _linearised(predict, measured, x)
+    return rows.T @ rows
+
+
+def told(information: FloatArray, names: Sequence[str], coordinates: FloatArray) -> Told:
+    """Return what measurements tell of each coordinate.
+
+    Args:
+        information: (n, n) of the measurements alone.
+        names: Names of the coordinates.
+        coordinates: (n,) where the information was taken.
+    """
+    posterior = information + np.eye(len(information))
+    sigma = np.sqrt(np.diag(np.linalg.inv(posterior)))
+    bounds = np.tile([-RANGE, RANGE], (len(sigma), 1))
+    bits = mutual_information(coordinates, sigma, bounds)
+    unknown = tuple(name for name, left in zip(names, sigma, strict=True) if left > SHRINKAGE)
+    values, vectors = np.linalg.eigh(posterior)
+    combinations: list[dict[str, float]] = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        if value * SHRINKAGE**2 > 1.0:
+            break
+        weights = sorted(zip(names, vector.tolist(), strict=True), key=lambda pair: -abs(pair[1]))
+        combinations.append({name: each for name, each in weights if abs(each) > NOTED})
+    return Told(sigma, bits, unknown, tuple(combinations))
+
+
+def _linearised(
+    predict: Predict, measured: Measurements, x: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return residuals (r,) and the weighted derivatives (r, n) of the predictions."""
+    steps = measured.steps
+    above = np.vstack([x, x + np.diag(steps)])
+    coarse = steps > COARSE
+    below = x - np.diag(steps)[coarse]
+    found = predict(np.vstack([above, below]))
+    if not np.isfinite(found).all():
+        raise FitError("the model diverges under the commands of the log; is its step too long?")
+    rows = (found[1 : len(above)] - found[0]) / steps[:, None]
+    rows[coarse] = (found[1 : len(above)][coarse] - found[len(above) :]) / (
+        2.0 * steps[coarse, None]
+    )
+    return (measured.values - found[0]) / measured.sigma, (rows / measured.sigma).T
+
+
+def _solve(matrix: FloatArray, gradient: FloatArray, free: BoolArray) -> FloatArray:
+    """Return the step (n,) of the coordinates that are free."""
+    step = np.zeros(len(gradient))
+    step[free] = -np.linalg.solve(matrix[np.ix_(free, free)], gradient[free])
+    return step

@@ -1,0 +1,313 @@
+"""Identification of any MuJoCo model from logs of its robot: checked, fitted, confirmed or not."""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from scipy.stats import chi2
+
+from controllers.identification.any_model.fit import (
+    Fit,
+    Measurements,
+    Told,
+    fit,
+    information_of,
+    told,
+)
+from perception.geometry.arrays import FloatArray
+from twin.logs.log import Log
+from twin.prediction.parameters import Parameter, ParameterError, explicit, select
+from twin.prediction.predictor import ModelPredictor, Start
+
+CONFIRMED = 0.5
+"""Largest error on unseen runs above the noise, over that of the model as drawn, that confirms."""
+NOISE = 2.0
+"""Chi^2 per sample up to which an error is hardly more than noise."""
+LAGS = 20
+"""Lags by which residuals are compared with themselves."""
+SIGMAS = float(np.sqrt(chi2.ppf(0.95, 1)))
+"""Half of a 95 % band, in deviations."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Estimate:
+    """One parameter.
+
+    Attributes:
+        name: Its name.
+        unit: Its unit.
+        drawn: Its value as drawn.
+        value: Its value as fitted.
+        low: Lower end of its 95 % band.
+        high: Upper end.
+        left: Its deviation over the one beforehand; 1 when nothing is known of it.
+        bits: Information that the logs have on it (Thesis eq. 2-12b).
+        told: Whether the logs tell it.
+    """
+
+    name: str
+    unit: str
+    drawn: float
+    value: float
+    low: float
+    high: float
+    left: float
+    bits: float
+    told: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Residual:
+    """What is left of one channel of one run.
+
+    Attributes:
+        run: Number of the run.
+        channel: Name of the channel.
+        drawn: Root mean square of the error as drawn, over the noise's deviation.
+        tuned: That as fitted.
+        noise: Deviation of the noise [SI].
+        white: Probability that noise alone is as alike to itself at other times (Ljung-Box).
+    """
+
+    run: int
+    channel: str
+    drawn: float
+    tuned: float
+    noise: float
+    white: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Runs:
+    """Runs as measured and as predicted.
+
+    Attributes:
+        predictor: The model with its logs.
+        drawn: (r,) predictions as drawn.
+        tuned: (r,) predictions as fitted.
+    """
+
+    predictor: ModelPredictor
+    drawn: FloatArray
+    tuned: FloatArray
+
+    def residuals(self) -> list[Residual]:
+        """Return what is left, by run and channel."""
+        found: list[Residual] = []
+        for (run, channel), place in self.predictor.channels.items():
+            sigma = self.predictor.sigma[place]
+            drawn, tuned = (
+                (self.predictor.measured[place] - each[place]) / sigma
+                for each in (self.drawn, self.tuned)
+            )
+            sizes = float(np.sqrt(np.mean(drawn**2))), float(np.sqrt(np.mean(tuned**2)))
+            found.append(Residual(run, channel, *sizes, float(sigma[0]), ljung_box(tuned)))
+        return found
+
+    def chi_square(self, predicted: FloatArray) -> float:
+        """Return the squared error per sample, over the noise's variance."""
+        off = (self.predictor.measured - predicted) / self.predictor.sigma
+        return float(np.mean(off**2))
+
+    @property
+    def ratio(self) -> float:
+        """Error above the noise as fitted, over that as drawn."""
+        drawn, tuned = (
+            np.sqrt(max(self.chi_square(each) - 1.0, 0.0)) for each in (self.drawn, self.tuned)
+        )
+        return float(tuned / drawn) if drawn > 0.0 else float(tuned > 0.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class Identified:
+    """Result of an identification.
+
+    Attributes:
+        fit: The fit.
+        before: What the logs can tell, by the model as drawn.
+        after: What they told, by the model as fitted.
+        estimates: The parameters.
+        seen: The runs that were fitted.
+        unseen: Runs that were held out; None if none was.
+        doubts: Why it is not good; empty if it is.
+        time_step: Time step of the model as drawn [s].
+    """
+
+    fit: Fit
+    before: Told
+    after: Told
+    estimates: Sequence[Estimate]
+    seen: Runs
+    unseen: Runs | None
+    doubts: Sequence[str]
+    time_step: float
+
+    def model(self) -> mujoco.MjSpec:
+        """Return the model as fitted, with its time step as drawn."""
+        spec = self.seen.predictor.tuned(self.fit.coordinates)
+        spec.option.timestep = self.time_step
+        return spec
+
+
+def load_model(path: Path) -> mujoco.MjSpec:
+    """Return the specification of a model file (MJCF or URDF).
+
+    Raises:
+        ParameterError: If it cannot be read; in one line that names it.
+    """
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compile()
+    except (ValueError, OSError) as error:
+        raise ParameterError(f"{path}: {' '.join(str(error).split())}") from None
+    # What is written elsewhere still finds meshes and textures.
+    for kind in ("meshdir", "texturedir"):
+        setattr(spec, kind, str((path.parent / getattr(spec, kind)).resolve()))
+    return spec
+
+
+def identify(
+    spec: mujoco.MjSpec,
+    logs: Sequence[Log],
+    patterns: Sequence[str],
+    held_out: Sequence[Log] = (),
+    start: Start = "rest",
+    step: float = np.inf,
+    watch: Callable[[int, float], None] = lambda step, chi_square: None,
+    check: Callable[[Told], None] = lambda before: None,
+) -> Identified:
+    """Identify parameters of a model.
+
+    Args:
+        spec: The model as drawn.
+        logs: Runs of the robot.
+        patterns: Parameters, as `select` takes them.
+        held_out: Further runs, which confirm what was found or do not.
+        start: How runs begin, as `ModelPredictor` takes it.
+        step: Longest time step of the simulations [s].
+        watch: Called at each step of the fit with its number and the chi^2 per sample.
+        check: Called before the fit with what the logs can tell.
+
+    Raises:
+        ParameterError: If the model has no such parameter.
+        LogError: If a log does not fit the model.
+        FitError: If the model diverges.
+    """
+    drawn_step, spec = float(spec.option.timestep), spec.copy()
+    spec.option.timestep = min(spec.option.timestep, step)
+    parameters = select(explicit(spec), patterns, _sensors(logs))
+    predictor = ModelPredictor(spec, parameters, logs, start)
+    measured = _measurements(predictor)
+    drawn = np.zeros(len(predictor.names))
+    before = told(information_of(predictor, measured, drawn), predictor.names, drawn)
+    check(before)
+    found = fit(predictor, measured, predictor.lowest, watch=watch)
+    after = told(found.information, predictor.names, found.coordinates)
+    seen = Runs(predictor, *predictor(np.vstack([drawn, found.coordinates])))
+    unseen = _unseen(spec, parameters, found.coordinates, held_out, start) if held_out else None
+    return Identified(
+        found,
+        before,
+        after,
+        _estimates(parameters, found, after),
+        seen,
+        unseen,
+        _doubts(found, unseen),
+        drawn_step,
+    )
+
+
+def ljung_box(residuals: FloatArray) -> float:
+    """Return the probability that white noise is as alike to itself at `LAGS` lags or fewer."""
+    count = len(residuals)
+    lags = min(LAGS, count // 4)
+    off = residuals - residuals.mean()
+    power = float(off @ off)
+    if not lags or not power:
+        return 1.0
+    alike = np.array([off[lag:] @ off[:-lag] / power for lag in range(1, lags + 1)])
+    statistic = count * (count + 2.0) * np.sum(alike**2 / (count - np.arange(1, lags + 1)))
+    return float(chi2.sf(statistic, lags))
+
+
+def _sensors(logs: Sequence[Log]) -> Mapping[str, int]:
+    return {
+        name: signal.values.shape[1]
+        for log in logs
+        for name, signal in log.signals.items()
+        if signal.role == "sensor"
+    }
+
+
+def _measurements(predictor: ModelPredictor) -> Measurements:
+    places = list(predictor.channels.values())
+    return Measurements(predictor.measured, predictor.sigma, places, predictor.steps)
+
+
+def _estimates(parameters: Sequence[Parameter], found: Fit, after: Told) -> list[Estimate]:
+    deviations = np.sqrt(np.diag(found.covariance)).tolist()
+    estimates: list[Estimate] = []
+    for index, each in enumerate(parameters):
+        at, deviation = float(found.coordinates[index]), deviations[index]
+        low, high = (
+            each.value(max(at + sign * SIGMAS * deviation, each.lowest)) for sign in (-1.0, 1.0)
+        )
+        estimates.append(
+            Estimate(
+                each.name,
+                each.unit,
+                each.nominal,
+                each.value(at),
+                low,
+                high,
+                deviation,
+                float(after.bits[index]),
+                each.name not in after.unknown,
+            )
+        )
+    return estimates
+
+
+def _unseen(
+    spec: mujoco.MjSpec,
+    parameters: Sequence[Parameter],
+    coordinates: FloatArray,
+    logs: Sequence[Log],
+    start: Start,
+) -> Runs:
+    """Return held-out runs as predicted; where they begin is sought in them, if need be."""
+    predictor = ModelPredictor(spec, parameters, logs, start)
+    count = len(parameters)
+    extra = len(predictor.names) - count
+    predicted: list[FloatArray] = []
+    for own in (np.zeros(count), coordinates[:count]):
+        begin = np.zeros(extra)
+        if extra:
+
+            def from_begin(begins: FloatArray, own: FloatArray = own) -> FloatArray:
+                return predictor(np.hstack([np.tile(own, (len(begins), 1)), begins]))
+
+            measured = dataclasses.replace(_measurements(predictor), steps=predictor.steps[count:])
+            begin = fit(from_begin, measured, predictor.lowest[count:]).coordinates
+        predicted.append(predictor(np.concatenate([own, begin])[None])[0])
+    return Runs(predictor, *predicted)
+
+
+def _doubts(found: Fit, unseen: Runs | None) -> list[str]:
+    doubts: list[str] = []
+    if not found.converged:
+        doubts.append("the fit did not converge")
+    if found.chi_square > NOISE:
+        doubts.append(
+            f"chi^2 per sample is {found.chi_square:.3g}: the model does not explain the logs"
+        )
+    if unseen is None:
+        doubts.append("no run was held out to confirm it")
+    elif unseen.ratio > CONFIRMED and unseen.chi_square(unseen.tuned) > NOISE:
+        doubts.append(
+            f"on unseen runs its error above the noise is {unseen.ratio:.2g} of that as drawn "
+            f"(at most {CONFIRMED:g} confirms it)"
+        )
+    return doubts

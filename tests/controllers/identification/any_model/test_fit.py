@@ -1,0 +1,85 @@
+"""The fit of any model, against closed forms, SciPy and planted combinations."""
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from controllers.identification.any_model.fit import FitError, Measurements, fit, told
+
+OPEN = np.full(3, -np.inf)
+
+
+def linear(matrix, offset=0.0):
+    return lambda x: x @ matrix.T + offset
+
+
+def measured(values, sigma, count=3):
+    return Measurements(values, sigma, [slice(0, len(values))], np.full(count, 1e-4))
+
+
+def test_linear_model_gives_the_posterior_of_bayes():
+    generator = np.random.default_rng(1)
+    matrix, sigma = generator.normal(size=(40, 3)), generator.uniform(0.5, 2.0, 40)
+    values = matrix @ [0.4, -1.2, 0.8] + sigma * generator.standard_normal(40)
+    found = fit(linear(matrix), measured(values, sigma), OPEN)
+    heat = max(1.0, found.chi_square)
+    precision = matrix.T @ (matrix / (heat * sigma**2)[:, None]) + np.eye(3)
+    mean = np.linalg.solve(precision, matrix.T @ (values / (heat * sigma**2)))
+    np.testing.assert_allclose(found.coordinates, mean, atol=0.02)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(precision), rtol=1e-4)
+    assert found.converged
+
+
+def test_coordinate_does_not_go_below_its_end():
+    generator = np.random.default_rng(2)
+    matrix = generator.normal(size=(60, 3))
+    values = matrix @ [-1.5, 0.5, 1.0] + 0.01 * generator.standard_normal(60)
+    lowest = np.array([0.0, -np.inf, -np.inf])
+    found = fit(linear(matrix), measured(values, np.full(60, 3.0)), lowest)
+    rows = np.vstack([matrix / 3.0, np.eye(3)])
+    peer = lsq_linear(rows, np.append(values / 3.0, np.zeros(3)), (lowest, np.full(3, np.inf)))
+    np.testing.assert_allclose(found.coordinates, peer.x, atol=0.02)
+    assert found.coordinates[0] == 0.0
+
+
+def test_noisier_channel_than_said_counts_as_it_scatters():
+    """Two channels measure one number; one of them scatters ten times as much as is said."""
+    generator = np.random.default_rng(3)
+    values = 0.5 + 0.1 * np.concatenate([10.0, 1.0] * np.ones((400, 2)), axis=None).reshape(
+        400, 2
+    ).T.ravel() * generator.standard_normal(800)
+    channels = [slice(0, 400), slice(400, 800)]
+    noisy = Measurements(values, np.full(800, 0.1), channels, np.full(1, 1e-4))
+    found = fit(linear(np.ones((800, 1))), noisy, np.full(1, -np.inf))
+    assert np.sqrt(found.covariance[0, 0]) == pytest.approx(0.1 / np.sqrt(400 * 1.01), rel=0.05)
+    assert abs(found.coordinates[0] - 0.5) < 4.0 * np.sqrt(found.covariance[0, 0])
+
+
+def test_only_the_sum_of_two_is_told():
+    matrix = np.zeros((100, 3))
+    matrix[:, 0] = matrix[:, 1] = np.linspace(1.0, 2.0, 100)
+    matrix[:, 2] = 10.0
+    matrix[::2, 2] = -10.0
+    result = told(matrix.T @ matrix, ["mass", "gain", "bias"], np.zeros(3))
+    assert result.unknown == ("mass", "gain")
+    (combination,) = result.combinations
+    assert combination["mass"] == pytest.approx(-combination["gain"])
+    assert abs(combination["mass"]) == pytest.approx(np.sqrt(0.5))
+    assert result.sigma[2] < 0.02 and result.bits[2] > 6.0 and result.bits[0] < 1.0
+
+
+def test_local_optimum_is_left_by_a_jump():
+    """A phase that is off by a period: the model is alike there, and not alike enough."""
+    times = np.linspace(0.0, 1.0, 400)
+
+    def predict(x):
+        return np.sin(30.0 * (times - 0.2 * x)) * np.exp(-(((times - 0.5 - 0.2 * x) / 0.3) ** 2))
+
+    values = predict(np.array([[1.1]]))[0]
+    found = fit(predict, measured(values, np.full(400, 0.01), 1), np.full(1, -np.inf))
+    assert found.coordinates[0] == pytest.approx(1.1, abs=1e-3)
+
+
+def test_model_that_diverges_is_told():
+    with pytest.raises(FitError, match="diverges"):
+        fit(lambda x: np.full((len(x), 5), np.nan), measured(np.zeros(5), np.ones(5)), OPEN)

@@ -1,0 +1,139 @@
+"""``identify`` on hidden robots: bands, what cannot be told, and what it refuses to call good."""
+
+import json
+
+import mujoco
+import numpy as np
+import pytest
+
+from experiments.__main__ import main
+from tests.experiments.own import hidden
+
+DAMPING, FRICTION, MASS, DELAY = 1.3, 0.7, 1.2, 0.006
+"""What is changed on a hidden robot."""
+
+
+def change(spec):
+    for joint in spec.joints:
+        joint.damping[0] *= DAMPING
+        joint.frictionloss *= FRICTION
+    for geom in spec.geoms:
+        geom.density *= MASS
+        geom.mass *= MASS
+
+
+def write_runs(folder, name, duration, changes=change, runs="ab"):
+    generator = np.random.default_rng(1)
+    hidden.write_mapping(folder / "robot.toml", name)
+    for run in runs:
+        stamps, values = hidden.commands(name, duration, generator)
+        found = hidden.measured(name, changes, stamps, values, generator, DELAY)
+        hidden.write_csv(folder / f"{run}.csv", name, stamps, values, *found)
+
+
+def identify(folder, name, *words):
+    return main(
+        ["identify", "--model", hidden.robot(name), "--mapping", f"{folder}/robot.toml"]
+        + ["--out", f"{folder}/found", *words]
+    )
+
+
+@pytest.fixture(scope="module")
+def leg(tmp_path_factory):
+    """A leg, identified from 4 s and confirmed by 4 s."""
+    folder = tmp_path_factory.mktemp("leg")
+    write_runs(folder, "leg", 4.0)
+    words = ["--log", f"{folder}/a.csv", "--hold-out", f"{folder}/b.csv"]
+    words += ["--parameters", "joint.*", "body.*.mass", "delay"]
+    status = identify(folder, "leg", *words)
+    return folder, status, json.loads((folder / "found" / "identified.json").read_text())
+
+
+def test_bands_hold_the_hidden_robot(leg):
+    _, status, found = leg
+    assert status == 0 and found["good"]
+    truth = {"damping": DAMPING, "friction": FRICTION, "armature": 1.0, "mass": MASS}
+    off = []
+    for each in found["parameters"]:
+        kind = each["name"].split(".")[-1]
+        if each["told"] and kind in truth:
+            low, high = np.log(each["low"]), np.log(each["high"])
+            true = np.log(truth[kind] * each["drawn"])
+            off.append((2.0 * true - low - high) / (high - low) * 1.96)
+    assert len(off) == 12
+    assert np.abs(off).max() < 3.5 and np.mean(np.square(off)) < 2.5
+    (delay,) = (each for each in found["parameters"] if each["name"] == "delay")
+    assert delay["value"] == pytest.approx(DELAY, abs=3e-4)
+
+
+def test_what_cannot_be_told_is_named(leg, capsys):
+    _, _, found = leg
+    assert found["not_told_before"] == ["body.stand.mass"]
+    (stand,) = (each for each in found["parameters"] if not each["told"])
+    assert stand["name"] == "body.stand.mass" and stand["left"] > 0.99
+
+
+def test_everything_is_written_and_the_model_loads(leg):
+    folder, _, found = leg
+    model = mujoco.MjModel.from_xml_path(f"{folder}/found/model.xml")
+    values = {each["name"]: each["value"] for each in found["parameters"]}
+    assert model.body("shank").mass[0] == pytest.approx(values["body.shank.mass"], rel=1e-4)
+    assert model.joint("knee").damping[0] == pytest.approx(values["joint.knee.damping"], rel=1e-4)
+    assert model.opt.timestep == 0.002
+    page = (folder / "found" / "page.html").read_text()
+    assert "<h2>Good</h2>" in page and page.count("<img") == 3 and "http" not in page
+    for name in ("tables/parameters.csv", "tables/residuals_unseen.csv", "figures/unseen.png"):
+        assert (folder / "found" / name).stat().st_size > 200
+
+
+def test_robot_that_the_model_does_not_explain_is_not_called_good(tmp_path, capsys):
+    """Its friction has changed, and is not among what is sought."""
+    write_runs(tmp_path, "cart", 3.0)
+    words = ["--log", f"{tmp_path}/a.csv", "--hold-out", f"{tmp_path}/b.csv"]
+    assert identify(tmp_path, "cart", *words, "--parameters", "joint.root.*") == 1
+    out = capsys.readouterr().out
+    assert "the model does not explain the logs" in out and "good: " not in out.replace("not ", "")
+
+
+def test_nothing_is_good_without_a_run_held_out(tmp_path, capsys):
+    write_runs(tmp_path, "cart", 3.0, lambda spec: None, "a")
+    words = ["--log", f"{tmp_path}/a.csv", "--parameters", "joint.*.stiffness", "delay"]
+    assert identify(tmp_path, "cart", *words) == 1
+    assert "not good no run was held out" in capsys.readouterr().out
+
+
+def test_parameters_of_a_model_are_listed(capsys):
+    assert main(["identify", "--model", hidden.robot("cart")]) == 0
+    out = capsys.readouterr().out
+    assert "joint.root.stiffness" in out and "actuator.push.delay" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (["--model", "none.xml"], 1, "error: none.xml: "),
+        (["--model", "ROBOT", "--parameters", "delay"], 2, "--log: needed with --parameters"),
+        (
+            ["--model", "ROBOT", "--log", "a.csv", "--step", "0"],
+            2,
+            "--step: expected above 0 to 1 s",
+        ),
+        (["--model", "ROBOT", "--log", "none.csv", "--parameters", "delay"], 1, "none.csv: "),
+    ],
+)
+def test_bad_input_is_one_line(words, status, message, capsys):
+    words = [hidden.robot("cart") if word == "ROBOT" else word for word in words]
+    assert main(["identify", *words]) == status
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
+
+
+def test_something_wrong_with_a_log_is_named_and_stops(tmp_path, capsys):
+    write_runs(tmp_path, "cart", 1.0, lambda spec: None, "a")
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    del lines[200:260]
+    (tmp_path / "a.csv").write_text("\n".join(lines) + "\n")
+    words = ["--log", f"{tmp_path}/a.csv", "--parameters", "delay"]
+    assert identify(tmp_path, "cart", *words) == 1
+    shown = capsys.readouterr()
+    assert "wrong" in shown.out and "gaps" in shown.out and "--anyway" in shown.err

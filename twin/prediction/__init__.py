@@ -1,0 +1,7 @@
+"""Any MuJoCo model as something that predicts: parameters by name, and what its sensors would read.
+
+In reading order:
+
+- `parameters`: what can be identified of a model, by name; written back into the model.
+- `predictor`: a model driven by the commands of logs, for many values of its parameters at once.
+"""
