@@ -49,6 +49,27 @@ class LineConfig:
 
 
 @dataclasses.dataclass(frozen=True)
+class ConnectionSettings:
+    """What `connect` was asked for, but for the lines: all that decides what a simulation measures.
+
+    Attributes:
+        target: See `connect`.
+        robots: See `connect`.
+        field: See `connect`.
+        realism: See `connect`.
+        stereo: See `connect`.
+        seed: See `connect`.
+    """
+
+    target: str
+    robots: tuple[RobotPlacement, ...] = (RobotPlacement(),)
+    field: FieldConfig = FLAT
+    realism: RealismName | Realism = "ideal"
+    stereo: StereoConfig | None = None
+    seed: int = 0
+
+
+@dataclasses.dataclass(frozen=True)
 class Connection:
     """Robots, the clock that paces them and, for simulated ones, the scene behind them.
 
@@ -58,6 +79,7 @@ class Connection:
         simulation: Scene with the truth, for scoring and recording only; None for real robots.
         emulator: Process behind emulated boards; None for all others.
         links: Ends of the radio by robot name; empty without a radio.
+        settings: What was asked for; None for real robots.
         resources: Ports, processes and threads that `close` releases.
     """
 
@@ -66,6 +88,7 @@ class Connection:
     simulation: Simulation | None
     emulator: EmulatorProcess | None = None
     links: Mapping[str, Link] = dataclasses.field(default_factory=dict[str, Link])
+    settings: ConnectionSettings | None = None
     resources: contextlib.ExitStack = dataclasses.field(default_factory=contextlib.ExitStack)
 
     def close(self) -> None:
@@ -115,6 +138,7 @@ def connect(
     wirings = wirings_of(target)
     if wirings:
         return _connect_wires(wirings)
+    settings = ConnectionSettings(target, tuple(robots), field, realism, stereo, seed)
     chosen = realism_of(realism)
     made = make_robots(robots, chosen, seed)
     if stereo is not None and chosen.cameras != IDEAL_CAMERA:
@@ -136,7 +160,7 @@ def connect(
     modems = lines.modems or chosen.modems
     links = virtual_links(list(bare.robots), lambda: bare.clock.time, radio_rng, modems)
     clocked = bare.robots if chosen.clock is None else give_clocks(bare.robots, chosen.clock, seed)
-    return dataclasses.replace(bare, robots=clocked, links=links)
+    return dataclasses.replace(bare, robots=clocked, links=links, settings=settings)
 
 
 def _connect_quantised(config: SceneConfig) -> Connection:

@@ -330,6 +330,12 @@ COMMANDS: dict[str, Command] = {
             example="--model robot.xml --log a.mcap --hold-out b.mcap --parameters joint.*",
         ),
         Command(
+            "replay",
+            "a log's commands once more in simulation, beside what was measured",
+            "experiments.own.replay",
+            example="--log run.mcap --model robot.xml --mapping robot.toml",
+        ),
+        Command(
             "report",
             "all results beside the thesis' in OUT/report.html",
             "experiments.report.report",

@@ -117,7 +117,7 @@ def drive(
             recorder = Recorder(options.record, connection.robots, connection.simulation)
             recorders.append(stack.enter_context(recorder))
         if options.log is not None:
-            recorders.append(stack.enter_context(LogWriter(options.log)))
+            recorders.append(stack.enter_context(LogWriter(options.log, connection.settings)))
         run_loop(connection.robots, [hand], clock, recorders, _LONGEST, ended)
 
 

@@ -219,6 +219,16 @@ def identify(
     )
 
 
+def predicted(spec: mujoco.MjSpec, logs: Sequence[Log], start: Start) -> Runs:
+    """Return runs as a model predicts them, as it is.
+
+    Raises:
+        LogError: If a log does not fit the model.
+        FitError: If the model diverges.
+    """
+    return _unseen(spec, [], np.zeros(0), logs, start)
+
+
 def ljung_box(residuals: FloatArray) -> float:
     """Return the probability that white noise is as alike to itself at `LAGS` lags or fewer."""
     count = len(residuals)

@@ -7,5 +7,5 @@ In reading order:
   rosbag2, `tables` CSV, LeRobot datasets and our own recordings.
 - `mapping`: which field is which actuator or sensor, in which unit and frame.
 - `checks`: what is wrong with a log, before anything is fitted to it.
-- `writing`: logs of our own runs, as MCAP.
+- `writing`: logs of our own runs, as MCAP; `settings`: how their robots were connected.
 """

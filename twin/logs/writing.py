@@ -14,7 +14,9 @@ import numpy as np
 from mcap.writer import Writer
 from numpy.typing import ArrayLike
 
+from twin.connect import ConnectionSettings
 from twin.logs.log import Role
+from twin.logs.settings import SETTINGS, settings_text
 from twin.loop import LoopRecorder, Tick
 from twin.robot import Channel
 
@@ -48,15 +50,18 @@ class LogWriter(LoopRecorder):
 
     Args:
         path: File to write, ``.mcap``.
+        settings: How the robots were connected, with which a simulated run can be replayed.
 
     Raises:
         OSError: If it cannot be written.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, settings: ConnectionSettings | None = None) -> None:
         self._stream = path.open("wb")
         self._writer = Writer(self._stream)
         self._writer.start(profile="", library="fieldtwin")
+        if settings is not None:
+            self._writer.add_metadata(SETTINGS, {"json": settings_text(settings)})
         self._schema = self._writer.register_schema(
             "fieldtwin.Signal", "jsonschema", json.dumps(_SCHEMA).encode()
         )
