@@ -27,6 +27,7 @@ from experiments.ch2.payload import JUDGED, judge_errors, run_recorded, sensing
 from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
+from experiments.harness.recording import NO_FILES, RunFiles
 from experiments.harness.sweep import sweep
 from models.as_made import alter_rover
 from models.compose import WHEELS, FieldConfig, RobotPlacement, load_part
@@ -59,9 +60,7 @@ def run(options: Options, output: Output) -> None:
             options.robot,
             effort,
             options.realism,
-            str(output.file("run.rrd"))
-            if options.record and index == 0 and effort == "hard"
-            else None,
+            RunFiles.of(options, output) if index == 0 and effort == "hard" else NO_FILES,
         )
         for index, seed in enumerate(options.job_seeds(24, 6))
         for effort in EFFORTS
@@ -91,7 +90,7 @@ def probe(
     effort: str,
     robot: str = "sim",
     realism: RealismName = "ideal",
-    record: str | None = None,
+    files: RunFiles = NO_FILES,
 ) -> FrictionEstimate:
     """Jerk an arm on some ground, and return what was estimated.
 
@@ -101,7 +100,7 @@ def probe(
         effort: Key of `EFFORTS`.
         robot: Robot to connect to, as `twin.connect.connect` takes it.
         realism: How far the robot and its sensors are from their drawings.
-        record: File for a recording, if any.
+        files: Files of the run.
 
     Raises:
         IdentificationError: If a sensor is missing.
@@ -113,7 +112,7 @@ def probe(
     connection = connect(
         robot, robots=[RobotPlacement(ROBOT)], field=field, realism=realism, seed=seed
     )
-    run_recorded(connection, controller, config.calibration + config.jerks.sweep + DURATION, record)
+    run_recorded(connection, controller, config.calibration + config.jerks.sweep + DURATION, files)
     return controller.estimate()
 
 
@@ -154,14 +153,14 @@ class FrictionJob:
         robot: Robot to connect to, as `twin.connect.connect` takes it.
         effort: Strength of the jerks, a key of `EFFORTS`.
         realism: How far the robot and its sensors are from their drawings.
-        record: File for a recording, if any.
+        files: Files of the run.
     """
 
     seed: int
     robot: str
     effort: str
     realism: RealismName
-    record: str | None = None
+    files: RunFiles = NO_FILES
 
 
 @dataclasses.dataclass(frozen=True)
@@ -197,7 +196,7 @@ def probe_one(config: FrictionJob) -> FrictionRun:
     (robot,) = make_robots([RobotPlacement(ROBOT)], config.realism, seed)
     ground = None if robot.made else float(np.random.default_rng(draws).uniform(*FRICTIONS))
     try:
-        estimate = probe(ground, seed, config.effort, config.robot, config.realism, config.record)
+        estimate = probe(ground, seed, config.effort, config.robot, config.realism, config.files)
     except IdentificationError as error:
         raise ExperimentError(str(error)) from error
     friction = ground if ground is not None else tyre_friction(robot)

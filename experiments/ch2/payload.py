@@ -5,7 +5,6 @@ tolerances. That swings its arm empty, takes the box and swings again. The contr
 observations only, and knows the drawing and its tolerances; the truth is used for scoring alone.
 """
 
-import contextlib
 import dataclasses
 from collections.abc import Sequence
 
@@ -28,6 +27,7 @@ from experiments.harness.contract import ExperimentError
 from experiments.harness.figure_style import RED
 from experiments.harness.intervals import distribution, fraction, success_fraction
 from experiments.harness.output import Output
+from experiments.harness.recording import NO_FILES, RunFiles
 from experiments.harness.sweep import sweep
 from models import datasheets
 from models.compose import FieldConfig, RobotPlacement
@@ -37,10 +37,8 @@ from perception.geometry.gravity import GRAVITY
 from twin.connect import Connection, connect
 from twin.describe import describe_rover
 from twin.description import RigidBody
-from twin.loop import LoopRecorder
 from twin.loop import run as run_loop
 from twin.optics.realism import RealismName
-from twin.recording.record import Recorder
 from twin.robot import Controller
 
 ROBOT = "rover1"
@@ -71,7 +69,7 @@ def run(options: Options, output: Output) -> None:
             options.robot,
             options.duration,
             options.realism,
-            str(output.file("run.rrd")) if options.record and index == 0 else None,
+            RunFiles.of(options, output) if index == 0 else NO_FILES,
         )
         for index, seed in enumerate(options.job_seeds(24, 6))
     ]
@@ -147,7 +145,7 @@ def identify(
     robot: str = "sim",
     duration: float = 30.0,
     realism: RealismName = "ideal",
-    record: str | None = None,
+    files: RunFiles = NO_FILES,
 ) -> PayloadEstimate:
     """Swing an arm that holds a box, and return what was identified.
 
@@ -157,7 +155,7 @@ def identify(
         robot: Robot to connect to, as `twin.connect.connect` takes it.
         duration: Duration of a swing [s].
         realism: How far the robot and its sensors are from their drawings.
-        record: File for a recording, if any.
+        files: Files of the run.
 
     Raises:
         IdentificationError: If a sensor is missing or the run too short.
@@ -167,12 +165,12 @@ def identify(
     identifier = PayloadIdentifier(ROBOT, config)
     placement = RobotPlacement(ROBOT, payload=dataclasses.replace(box, taken=config.taken))
     connection = connect(robot, robots=[placement], field=FIELD, realism=realism, seed=seed)
-    run_recorded(connection, identifier, config.begin + duration, record)
+    run_recorded(connection, identifier, config.begin + duration, files)
     return identifier.estimate()
 
 
 def run_recorded(
-    connection: Connection, controller: Controller, duration: float, record: str | None
+    connection: Connection, controller: Controller, duration: float, files: RunFiles
 ) -> None:
     """Run a controller on a connection, and close that afterwards.
 
@@ -180,14 +178,9 @@ def run_recorded(
         connection: The robot and its clock.
         controller: Controller of the robot.
         duration: Duration of the run [s].
-        record: File for a recording, if any.
+        files: Files of the run.
     """
-    with contextlib.ExitStack() as stack:
-        stack.enter_context(connection)
-        recorders: list[LoopRecorder] = []
-        if record is not None:
-            recorder = Recorder(record, connection.robots, connection.simulation)
-            recorders.append(stack.enter_context(recorder))
+    with connection, files.written(connection) as recorders:
         run_loop(connection.robots, [controller], connection.clock, recorders, duration)
 
 
@@ -200,14 +193,14 @@ class PayloadJob:
         robot: Robot to connect to, as `twin.connect.connect` takes it.
         duration: Time for which the arm swings [s].
         realism: How far the robot and its sensors are from their drawings.
-        record: File for a recording, if any.
+        files: Files of the run.
     """
 
     seed: int
     robot: str
     duration: float
     realism: RealismName
-    record: str | None = None
+    files: RunFiles = NO_FILES
 
 
 @dataclasses.dataclass(frozen=True)
@@ -260,7 +253,7 @@ def identify_one(config: PayloadJob) -> PayloadRun:
     noise_seed = int(noise.generate_state(1)[0])
     try:
         estimate = identify(
-            box, noise_seed, config.robot, config.duration, config.realism, config.record
+            box, noise_seed, config.robot, config.duration, config.realism, config.files
         )
     except IdentificationError as error:
         raise ExperimentError(str(error)) from error

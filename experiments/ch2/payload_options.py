@@ -8,7 +8,7 @@ from twin.optics.realism import RealismName
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.RepeatedOptions, contract.RecordedOptions):
+class Options(contract.RepeatedOptions, contract.LoggedOptions):
     """Options of the payload identification.
 
     Attributes:

@@ -63,6 +63,18 @@ class RecordedOptions(Options):
 
 
 @dataclasses.dataclass(frozen=True)
+class LoggedOptions(RecordedOptions):
+    """Options of an experiment of which a run of robots can be recorded and logged.
+
+    Attributes:
+        log: Also write what is measured and applied in the run that is recorded, OUT/NAME/run.mcap:
+            for the commands log, replay and identify, and for other tools.
+    """
+
+    log: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
 class SweepOptions(Options):
     """Options of an experiment whose jobs several processes share.
 

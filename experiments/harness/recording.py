@@ -1,6 +1,7 @@
-"""What recordings for the rerun viewer have in common, and moving pictures."""
+"""What a run of robots leaves behind, recordings for the rerun viewer, and moving pictures."""
 
 import contextlib
+import dataclasses
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -11,7 +12,59 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from PIL import Image
 
+from experiments.harness.contract import LoggedOptions
+from experiments.harness.output import Output
 from perception.geometry.arrays import FloatArray
+from twin.connect import Connection
+from twin.logs.writing import LogWriter
+from twin.loop import LoopRecorder
+from twin.recording.record import Recorder
+
+
+@dataclasses.dataclass(frozen=True)
+class RunFiles:
+    """Which files of a run are written.
+
+    Attributes:
+        recording: Recording for the rerun viewer, ``.rrd``; empty for none.
+        log: Log, ``.mcap``; empty for none.
+    """
+
+    recording: str = ""
+    log: str = ""
+
+    @classmethod
+    def of(cls, options: LoggedOptions, output: Output) -> "RunFiles":
+        """Return those that options ask for, in the output's folder."""
+        recording = str(output.file("run.rrd")) if options.record else ""
+        return cls(recording, str(output.file("run.mcap")) if options.log else "")
+
+    def __bool__(self) -> bool:
+        """Whether there is any."""
+        return bool(self.recording or self.log)
+
+    @contextlib.contextmanager
+    def logged(self, connection: Connection) -> Iterator[list[LoopRecorder]]:
+        """Yield what writes the log, if there is to be one."""
+        if not self.log:
+            yield []
+            return
+        with LogWriter(Path(self.log), connection.settings) as writer:
+            yield [writer]
+
+    @contextlib.contextmanager
+    def written(self, connection: Connection) -> Iterator[list[LoopRecorder]]:
+        """Yield what writes both, the recording in its usual layout."""
+        with self.logged(connection) as recorders:
+            if not self.recording:
+                yield recorders
+                return
+            with Recorder(self.recording, connection.robots, connection.simulation) as recorder:
+                yield [recorder, *recorders]
+
+
+NO_FILES = RunFiles()
+"""A run of which nothing is kept."""
 
 
 @contextlib.contextmanager

@@ -13,6 +13,7 @@ from controllers.mission.navigator import Navigator
 from controllers.mission.stage import MissionStage
 from controllers.mission.stages.map_site import MapSite
 from experiments.ch5.task_film import InsertionLog, insertion_views, scene_picture
+from experiments.harness.recording import RunFiles
 from experiments.mission.moving_picture import MovingPicture
 from experiments.mission.scene import MASTER, SLAVE
 from experiments.mission.trial import Mission, MissionResult, MissionTrial, perform, prepared
@@ -182,12 +183,12 @@ class Filmed(NamedTuple):
     film: MovingPicture | None
 
 
-def film_mission(trial: MissionTrial, recording: Path | None) -> Filmed:
+def film_mission(trial: MissionTrial, files: RunFiles) -> Filmed:
     """Run a mission, show its progress, and film it.
 
     Args:
         trial: Settings of the mission.
-        recording: File of a recording for the rerun viewer; None for none.
+        files: Files of the run.
     """
     columns = (
         TextColumn("{task.description:9}"), BarColumn(), TimeElapsedColumn(),
@@ -199,6 +200,7 @@ def film_mission(trial: MissionTrial, recording: Path | None) -> Filmed:
         film = None if mission.connection.simulation is None else MovingPicture(mission)
         if film is not None:
             recorders.append(film)
-        if recording is not None:
-            recorders.append(stack.enter_context(recorded(mission, recording)))
+        if files.recording:
+            recorders.append(stack.enter_context(recorded(mission, Path(files.recording))))
+        recorders += stack.enter_context(files.logged(mission.connection))
         return Filmed(perform(mission, recorders), pictures.steps, film)

@@ -26,6 +26,7 @@ from experiments.harness.intervals import (
     success_fraction,
 )
 from experiments.harness.output import Output
+from experiments.harness.recording import RunFiles
 from experiments.harness.robot_option import check_calibrations
 from experiments.harness.sweep import sweep
 from experiments.mission.figures import draw_steps, draw_tracks
@@ -116,13 +117,13 @@ def check_radios(target: str) -> None:
 
 def _run_all(jobs: list[MissionTrial], options: Options, output: Output) -> list[MissionResult]:
     """Run the missions; a single one with progress bars and pictures."""
-    recording = output.file("run.rrd") if options.record else None
+    files = RunFiles.of(options, output)
     if len(jobs) > 1:
         results = sweep(run_mission, jobs, options, output, label="missions")
-        if recording is not None:
-            film_mission(jobs[0], recording)
+        if files:
+            film_mission(jobs[0], files)
         return results
-    filmed = film_mission(jobs[0], recording)
+    filmed = film_mission(jobs[0], files)
     if filmed.steps:
         output.figure("mission_steps", draw_steps(filmed.steps))
     if filmed.film is not None and filmed.film.frames:  # None where a robot fails at once.

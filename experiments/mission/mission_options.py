@@ -15,7 +15,7 @@ slot, as their initial poses are drawn; chosen before it was run, for it is shor
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.RepeatedOptions, contract.RecordedOptions):
+class Options(contract.RepeatedOptions, contract.LoggedOptions):
     """Options of mission.
 
     Attributes:

@@ -9,6 +9,7 @@ import numpy as np
 
 from controllers.mapping.pose_sharing import PoseSharing, SharingConfig
 from controllers.motion.driving import SkidSteer
+from experiments.harness.recording import NO_FILES, RunFiles
 from models.compose import FieldConfig, RobotPlacement
 from models.datasheets import ROVER
 from perception.geometry.arrays import FloatArray
@@ -17,7 +18,6 @@ from twin.hardware.emulator.modem import ModemConfig
 from twin.hardware.radio.framed_radio import FramedLink
 from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
-from twin.recording.record import Recorder
 
 ROBOTS = ("rover1", "rover2")
 SEND_PERIOD = SharingConfig.send_period
@@ -80,7 +80,7 @@ class _Truth(LoopRecorder):
 
 
 def converse(
-    modems: ModemConfig, duration: float, seed: int, record: str | None = None
+    modems: ModemConfig, duration: float, seed: int, files: RunFiles = NO_FILES
 ) -> Conversation:
     """Let both rovers drive and share their poses.
 
@@ -88,7 +88,7 @@ def converse(
         modems: Properties of the simulated radio.
         duration: Duration of the drive [s].
         seed: Random seed of sensor noise, byte errors and sessions.
-        record: File for a recording, if any.
+        files: Files of the run.
     """
     sensors, radio = np.random.SeedSequence(seed).spawn(2)
     noise = int(sensors.generate_state(1)[0])
@@ -108,12 +108,8 @@ def converse(
             for number, p in enumerate(PLACEMENTS, 1)
         ]
         truth = _Truth(connection.simulation.data, links)
-        recorders: list[LoopRecorder] = [truth]
-        if record is not None:
-            recorders.append(
-                stack.enter_context(Recorder(record, connection.robots, connection.simulation))
-            )
-        run_loop(connection.robots, controllers, connection.clock, recorders, duration)
+        recorders = stack.enter_context(files.written(connection))
+        run_loop(connection.robots, controllers, connection.clock, [truth, *recorders], duration)
     counts = np.array(truth.bytes_sent)
     rovers: dict[str, Conversed] = {}
     for name, controller, column in zip(ROBOTS, controllers, counts.T, strict=True):

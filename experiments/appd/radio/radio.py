@@ -31,6 +31,7 @@ from experiments.appd.radio.trial import (
 )
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
+from experiments.harness.recording import RunFiles
 from experiments.harness.sweep import sweep
 from twin.hardware.emulator.modem import ModemConfig
 
@@ -203,9 +204,8 @@ def _percentile(latency: np.ndarray, percent: float) -> float:
 def _talk(options: Options, output: Output) -> None:
     """Let two rovers drive and talk, and store what each knew of the other."""
     duration = TALK[options.quick]
-    record = str(output.file("run.rrd")) if options.record else None
     modems = ModemConfig(delay=options.delay, error_rate=RATE)
-    result = converse(modems, duration, options.seed, record)
+    result = converse(modems, duration, options.seed, RunFiles.of(options, output))
     period = float(np.median(np.diff(result.truth[:, 0])))
     rows: list[list[Any]] = []
     for name, other in zip(ROBOTS, reversed(ROBOTS)):

@@ -7,7 +7,7 @@ from experiments.harness.contract import OptionError
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.RepeatedOptions, contract.RecordedOptions):
+class Options(contract.RepeatedOptions, contract.LoggedOptions):
     """Options of the radio experiment.
 
     Attributes:

@@ -3,6 +3,7 @@
 With ``--axis roll`` its roll in the same way, with its arm turned aside, which the thesis does not.
 """
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -32,6 +33,7 @@ from experiments.ch2.rover.trial import (
 from experiments.harness.figure_style import COLOURS
 from experiments.harness.intervals import distribution, success_fraction
 from experiments.harness.output import Output
+from experiments.harness.recording import RunFiles
 from experiments.harness.robot_option import check_calibrations
 from experiments.harness.sweep import sweep
 from models.compose import LABORATORY, RobotPlacement
@@ -88,9 +90,10 @@ def run(options: Options, output: Output) -> None:
         _measure(results, truths, output)
         _figures(results, truths, output)
         _table(results, truths, output)
-    if options.record:
-        path = record_run(options, output)
-        Console().print(f"recording: {path}")
+    if files := RunFiles.of(options, output):
+        record_run(options, files)
+        written = " and ".join(filter(None, (files.recording, files.log)))
+        Console().print(f"recorded: {written}")
 
 
 def _measure_laboratory(truths: Truths, thesis: Mapping[str, float], output: Output) -> None:
@@ -199,12 +202,11 @@ def _table(results: Results, truths: Truths, output: Output) -> None:
     Console().print(table)
 
 
-def record_run(options: Options, output: Output) -> str:
-    """Record one identification, under information if it was chosen, for the rerun viewer."""
+def record_run(options: Options, files: RunFiles) -> None:
+    """Record or log one identification, under information if it was chosen."""
     chosen = options.chosen()
     excitation = "information" if "information" in chosen else chosen[0]
     config = rover_config(excitation, options.duration, options.axis)
-    path = output.file("run.rrd")
     controller = RoverIdentifier(config, np.random.default_rng(options.seed))
     with (
         connect(
@@ -215,13 +217,16 @@ def record_run(options: Options, output: Output) -> str:
             stereo=StereoConfig(),
             seed=options.seed,
         ) as connection,
-        Recorder(
-            path, connection.robots, connection.simulation, _blueprint(config.plane)
-        ) as recorder,
+        files.logged(connection) as recorders,
+        contextlib.ExitStack() as stack,
     ):
-        recorders = [recorder, EstimateRecorder(recorder, controller)]
+        if files.recording:
+            layout = _blueprint(config.plane)
+            recorder = stack.enter_context(
+                Recorder(files.recording, connection.robots, connection.simulation, layout)
+            )
+            recorders += [recorder, EstimateRecorder(recorder, controller)]
         loop.run(connection.robots, [controller], connection.clock, recorders, config.total)
-    return str(output.directory / "run.rrd")
 
 
 def _blueprint(plane: SwingPlane) -> rrb.Blueprint:

@@ -13,7 +13,7 @@ Axis = Literal["pitch", "roll"]
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.RepeatedOptions, contract.RecordedOptions):
+class Options(contract.RepeatedOptions, contract.LoggedOptions):
     """Options of ch2-rover.
 
     Attributes:

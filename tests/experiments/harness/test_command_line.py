@@ -2,6 +2,7 @@ import dataclasses
 import errno
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -229,11 +230,17 @@ ROOT = Path(__file__).parents[3]
 
 @pytest.mark.parametrize("experiment", EXPERIMENTS.values(), ids=EXPERIMENTS.keys())
 @pytest.mark.parametrize(
-    ("option", "use"), [("record", "options.record"), ("jobs", "sweep("), ("seeds", "_seeds")]
+    ("option", "use"),
+    [
+        ("record", r"options\.record|RunFiles\.of\("),
+        ("log", r"RunFiles\.of\("),
+        ("jobs", r"sweep\("),
+        ("seeds", "_seeds"),
+    ],
 )
 def test_an_option_is_offered_where_it_does_something_and_only_there(experiment, option, use):
     module = (ROOT / experiment.module.replace(".", "/")).with_suffix(".py")
     parts = module.parent.glob("*.py") if experiment.name == "bench" else [module]
-    used = any(use in part.read_text() for part in parts)
+    used = any(re.search(use, part.read_text()) for part in parts)
     offered = {field.name for field in dataclasses.fields(experiment.options_type())}
     assert (option in offered) == used

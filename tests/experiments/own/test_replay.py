@@ -9,6 +9,9 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from experiments.__main__ import main
+from experiments.ch2.rover.rover import record_run
+from experiments.ch2.rover.rover_options import Options
+from experiments.harness.recording import RunFiles
 from experiments.own.replay import replay_own
 from models.compose import FieldConfig, RobotPlacement
 from tests.experiments.own import hidden
@@ -68,6 +71,14 @@ def test_log_of_a_robot_of_ours_is_replayed_to_the_bit(tmp_path, target, capsys)
     assert {f"{last}/arm_angles[3]", f"{last}/inclinometer[1]", f"{last}/wheels[0]"} <= {
         each["name"] for each in found
     }
+
+
+def test_logged_experiment_is_replayed_to_the_bit(tmp_path):
+    files = RunFiles(log=str(tmp_path / "run.mcap"))
+    record_run(Options(robot="sim", seed=3), files)
+    curves = replay_own(tmp_path / "run.mcap")
+    assert sum(each.bits for each in curves) == 0
+    assert max(np.ptp(each.measured) for each in curves if "arm_angles" in each.name) > 0.1
 
 
 def test_another_seed_differs(tmp_path, monkeypatch):
