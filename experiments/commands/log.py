@@ -1,6 +1,7 @@
 """``log``: what a log holds, and what is wrong with it, before anything is fitted to it."""
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from rich.console import Console
@@ -12,8 +13,10 @@ from experiments.harness.contract import ExperimentError
 from perception.geometry.arrays import FloatArray
 from twin.logs.checks import problems
 from twin.logs.fields import read_fields
+from twin.logs.lerobot import write_lerobot
 from twin.logs.log import Field, Log, LogError
 from twin.logs.mapping import own_sources, read_log, read_mapping
+from twin.logs.writing import write_mcap
 
 BAD = 1
 """Exit status of a log with which something is wrong."""
@@ -29,23 +32,43 @@ def run(options: Options) -> int:
         0, or 1 if something is wrong with a signal.
 
     Raises:
-        ExperimentError: If the log or the mapping cannot be read.
+        ExperimentError: If the log or the mapping cannot be read, or nothing be written.
     """
     try:
         if options.mapping is None:
             fields = read_fields(options.path)
             if not own_sources(fields):
                 print_fields(fields)
+                if options.write is not None:
+                    raise ExperimentError("--write: a mapping has to say what is to be written")
                 return 0
         mapping = None if options.mapping is None else read_mapping(options.mapping)
         log = read_log(options.path, mapping)
     except LogError as error:
         raise ExperimentError(str(error)) from None
     print_signals(log)
+    if options.write is not None:
+        write(log, options.write, options.rate)
     found = problems(log)
     for line in found:
         Console().print(f"[red]wrong[/] {escape(line)}", soft_wrap=True, highlight=False)
     return BAD if found else 0
+
+
+def write(log: Log, path: Path, rate: int | None) -> None:
+    """Write a log as an MCAP file, or as a LeRobot dataset if it is to have a rate [Hz].
+
+    Raises:
+        ExperimentError: If it cannot be written.
+    """
+    try:
+        if rate is None:
+            write_mcap(log, path)
+        else:
+            write_lerobot(log, path, rate)
+    except (LogError, OSError) as error:
+        raise ExperimentError(f"{path}: {error}") from None
+    print(f"wrote {path}")
 
 
 def print_fields(fields: Mapping[str, Field]) -> None:

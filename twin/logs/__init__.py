@@ -7,5 +7,6 @@ In reading order:
   rosbag2, `tables` CSV, LeRobot datasets and our own recordings.
 - `mapping`: which field is which actuator or sensor, in which unit and frame.
 - `checks`: what is wrong with a log, before anything is fitted to it.
-- `writing`: logs of our own runs, as MCAP; `settings`: how their robots were connected.
+- `writing`: logs of our own runs, and any others, as MCAP; `lerobot`: as LeRobot datasets.
+- `settings`: how the robots of a log of ours were connected.
 """

@@ -6,13 +6,14 @@ say of themselves.
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar, cast
 
 import numpy as np
 
 from perception.geometry import files
+from perception.geometry.arrays import FloatArray
 from twin.logs.fields import read_fields
 from twin.logs.log import Field, Log, LogError, Role, Signal
 
@@ -68,14 +69,30 @@ class Source:
             if name not in fields:
                 raise LogError(f"no field {name}; there are {', '.join(sorted(fields)) or 'none'}")
         chosen = [fields[name] for name in self.fields]
-        stamps = chosen[0].stamps
-        if any(not np.array_equal(each.stamps, stamps) for each in chosen[1:]):
-            raise LogError(f"fields {', '.join(self.fields)} were not sampled together")
+        stamps, columns = _together(self.fields, chosen)
         factor, unit = UNITS[self.unit]
         signs = np.array(self.signs or [1.0] * len(chosen))
-        values = factor * signs * np.column_stack([each.values for each in chosen])
+        values = factor * signs * columns
         noise = factor * self.noise
         return Signal(self.role, stamps - self.delay, values, unit, self.frame, noise)
+
+
+def _together(names: Sequence[str], fields: Sequence[Field]) -> tuple[FloatArray, FloatArray]:
+    """Return the stamps (n,) of some fields, and their values (n, k), NaN where one has none.
+
+    Raises:
+        LogError: If less than half of the stamps are those of all fields.
+    """
+    stamps = fields[0].stamps
+    if all(np.array_equal(each.stamps, stamps) for each in fields):
+        return stamps, np.column_stack([each.values for each in fields])
+    stamps, counts = np.unique(np.concatenate([each.stamps for each in fields]), return_counts=True)
+    if 2 * np.count_nonzero(counts == len(fields)) < len(stamps):
+        raise LogError(f"fields {', '.join(names)} were not sampled together")
+    values = np.full((len(stamps), len(fields)), np.nan)
+    for column, each in enumerate(fields):
+        values[np.searchsorted(stamps, each.stamps), column] = each.values
+    return stamps, values
 
 
 @dataclasses.dataclass(frozen=True)

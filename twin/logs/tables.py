@@ -49,11 +49,12 @@ def read_csv(path: Path, time: str, time_unit: float) -> dict[str, Field]:
     if stamps is None:
         raise LogError(f"{path}: column {found} holds no numbers")
     fields: dict[str, Field] = {}
+    times = 1e-9 * np.round(1e9 * time_unit * stamps)  # as all other formats have them
     for name, values in numbers.items():
         if values is not None:
             # An empty cell is no sample: tables join what was sampled at other times.
             there = table.column(name).is_valid().to_numpy()
-            fields[name] = Field(time_unit * stamps[there], values[there])
+            fields[name] = Field(times[there], values[there])
     return fields
 
 

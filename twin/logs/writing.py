@@ -15,7 +15,7 @@ from mcap.writer import Writer
 from numpy.typing import ArrayLike
 
 from twin.connect import ConnectionSettings
-from twin.logs.log import Role
+from twin.logs.log import Log, Role
 from twin.logs.settings import SETTINGS, settings_text
 from twin.loop import LoopRecorder, Tick
 from twin.robot import Channel
@@ -39,6 +39,18 @@ _SCHEMA = {
         "value": {"type": "array", "items": {"type": ["number", "null"]}},
     },
 }
+
+
+def write_mcap(log: Log, path: Path) -> None:
+    """Write any log as one of ours, which says itself what its signals are.
+
+    Raises:
+        OSError: If it cannot be written.
+    """
+    with LogWriter(path) as writer:
+        for name, each in log.signals.items():
+            for stamp, value in zip(each.stamps.tolist(), each.values):
+                writer.write(each.role, name, stamp, value, each.unit, each.frame)
 
 
 class LogWriter(LoopRecorder):

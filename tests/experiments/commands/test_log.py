@@ -60,3 +60,32 @@ def test_what_is_no_log_is_refused_in_one_line(tmp_path, capsys, name, said):
     error = capsys.readouterr().err
     assert error.startswith(f"error: {tmp_path / name}: ") and said in error
     assert error.count("\n") == 1
+
+
+def test_signals_are_written_for_other_tools(tmp_path, capsys):
+    path = formats.write_csv(formats.Run(1), tmp_path / "run.csv")
+    (tmp_path / "map.toml").write_text(formats.CSV_MAPPING)
+    words = ["log", str(path), "--mapping", f"{tmp_path}/map.toml", "--write"]
+    assert main([*words, f"{tmp_path}/again.mcap"]) == 0
+    assert main([*words, f"{tmp_path}/dataset", "--rate", "100"]) == 0
+    assert (tmp_path / "dataset" / "meta" / "info.json").exists()
+    assert "wrote" in capsys.readouterr().out
+    assert main(["log", f"{tmp_path}/again.mcap"]) == 0
+    assert "gyro" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--write", "PATH/run.csv", "--rate", "10"], "there already"),
+        (["--write", "PATH/none/a.mcap"], "there is no folder"),
+        (["--write", "PATH/a.mcap", "--rate", "10"], "--rate: needed to write a LeRobot"),
+        (["--write", "PATH/a"], "--rate: needed to write a LeRobot"),
+        (["--write", "PATH/a", "--rate", "0"], "--rate: expected 1 Hz or more"),
+    ],
+)
+def test_what_cannot_be_written_is_refused(tmp_path, words, message, capsys):
+    path = formats.write_csv(formats.Run(1), tmp_path / "run.csv")
+    words = [word.replace("PATH", str(tmp_path)) for word in words]
+    assert main(["log", str(path), *words]) == 2
+    assert message in capsys.readouterr().err

@@ -102,6 +102,21 @@ def test_nothing_is_good_without_a_run_held_out(tmp_path, capsys):
     assert "not good no run was held out" in capsys.readouterr().out
 
 
+def test_the_same_run_in_another_format_gives_the_same(tmp_path, capsys):
+    write_runs(tmp_path, "cart", 2.0, change, "a")
+    table, mapping = f"{tmp_path}/a.csv", f"{tmp_path}/robot.toml"
+    assert main(["log", table, "--mapping", mapping, "--write", f"{tmp_path}/a.mcap"]) == 0
+    found = []
+    for words in ([table, "--mapping", mapping], [f"{tmp_path}/a.mcap"]):
+        main(
+            ["identify", "--model", hidden.robot("cart"), "--log", *words]
+            + ["--parameters", "joint.*.damping", "delay", "--out", f"{tmp_path}/found"]
+        )
+        content = json.loads((tmp_path / "found" / "identified.json").read_text())
+        found.append([each["value"] for each in content["parameters"]])
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
+
+
 def test_parameters_of_a_model_are_listed(capsys):
     assert main(["identify", "--model", hidden.robot("cart")]) == 0
     out = capsys.readouterr().out
