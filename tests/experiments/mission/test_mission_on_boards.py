@@ -13,9 +13,9 @@ from twin.hardware.serial_link import LinkError
 from twin.loop import run
 from twin.robot import RobotError
 
-SLOW_DOWN = 5
-"""On two cores with ten other jobs the longest cycle took 0.5 s: 0.1 s of the robots' time, and the
-watchdog allows 0.15 s."""
+SLOW_DOWN = 3
+"""Both rovers, their boards and this process have two cores for themselves, and the watchdog allows
+0.15 s of the robots' time."""
 TRIES = 4
 """A machine that stalls stops the robots, as it must; a fault of the code stops each try."""
 
