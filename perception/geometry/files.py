@@ -10,11 +10,16 @@ import json
 import os
 import secrets
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import IO, Any
 
 from PIL import Image, UnidentifiedImageError
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
 
 SETTINGS = 2**15
 """Settings that a person writes, as calibrations and parameters [byte]; TOML takes a time that
@@ -33,6 +38,8 @@ RECORDING = 2**32
 """A recording for the viewer [byte]."""
 LOG = 2**32
 """A log of a robot, file or folder [byte]."""
+LOG_MEMORY = 2**32
+"""Memory that reading a log may take beside what is taken already [byte]."""
 _FORMATS = ("PNG", "JPEG", "BMP", "PPM", "TIFF", "WEBP", "GIF")
 
 
@@ -47,6 +54,30 @@ def check_size(path: Path | str, most: int) -> None:
         OSError: If it is larger, or is not there.
     """
     _require(os.stat(path).st_size, most, "bytes", path)
+
+
+@contextlib.contextmanager
+def limited_memory(most: int) -> Generator[None, None, None]:
+    """Let this process take so many more bytes of memory within, and no more.
+
+    What wants more gets a `MemoryError`, as where there is none left. Processes that are started
+    within may take as much each. Linux alone has such a limit; elsewhere there is none.
+
+    Args:
+        most: Limit [byte].
+    """
+    taken = Path("/proc/self/statm")
+    if resource is None or not taken.exists():
+        yield
+        return
+    pages = int(taken.read_text().split()[5])  # of data and stacks
+    limit, before = pages * resource.getpagesize() + most, resource.getrlimit(resource.RLIMIT_DATA)
+    limits = [each for each in (limit, *before) if each != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_DATA, (min(limits), before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, before)
 
 
 def check_pixels(path: Path | str, width: int, height: int) -> None:

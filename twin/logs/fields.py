@@ -34,29 +34,37 @@ def read_fields(
     """
     try:
         _check(path)
-        if (path / "meta" / "info.json").exists():
-            return tables.read_lerobot(path, episode)
-        if (path / "metadata.yaml").exists():
-            return messages.read_bag(path)
-        match path.suffix.lower():
-            case ".csv":
-                return tables.read_csv(path, time, time_unit)
-            case ".mcap":
-                return messages.read_mcap(path)
-            case ".rrd":
-                return tables.read_recording(path)
-            case _:
-                raise LogError(
-                    f"{path}: not a log; expected .csv, .mcap or .rrd, or the folder of a rosbag2 "
-                    "(metadata.yaml) or of a LeRobot dataset (meta/info.json)"
-                )
+        with files.limited_memory(files.LOG_MEMORY):
+            return _read(path, time, time_unit, episode)
     except LogError:
         raise
+    except MemoryError:
+        most = f"{files.LOG_MEMORY:,}"
+        raise LogError(f"{path}: takes more memory than there is, or than {most} bytes") from None
     except Exception as error:  # What readers of damaged files raise has no base in common.
         if isinstance(error, OSError) and error.filename is not None:
             raise LogError(f"{path}: {error.strerror}") from None
         reason = f"{type(error).__name__} {error}"[:200]
         raise LogError(f"{path}: damaged, or not what its name says: {reason}") from None
+
+
+def _read(path: Path, time: str, time_unit: float, episode: int) -> dict[str, Field]:
+    if (path / "meta" / "info.json").exists():
+        return tables.read_lerobot(path, episode)
+    if (path / "metadata.yaml").exists():
+        return messages.read_bag(path)
+    match path.suffix.lower():
+        case ".csv":
+            return tables.read_csv(path, time, time_unit)
+        case ".mcap":
+            return messages.read_mcap(path)
+        case ".rrd":
+            return tables.read_recording(path)
+        case _:
+            raise LogError(
+                f"{path}: not a log; expected .csv, .mcap or .rrd, or the folder of a rosbag2 "
+                "(metadata.yaml) or of a LeRobot dataset (meta/info.json)"
+            )
 
 
 def _check(path: Path) -> None:

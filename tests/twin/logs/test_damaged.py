@@ -1,13 +1,17 @@
 """Damaged, truncated and hostile logs: one clear error each, or what is left of them."""
 
 import json
+import sys
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
+from pyarrow import parquet
 
+from perception.geometry import files
 from tests.twin.logs import formats
 from twin.logs.fields import read_fields
 from twin.logs.log import LogError
@@ -63,6 +67,32 @@ def test_a_damaged_recording_does_not_end_the_program(tmp_path):
     path.write_bytes(b"RRF2" + b"\xff" * 64)
     with pytest.raises(LogError, match="damaged"):
         read_fields(path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone limits memory")
+@pytest.mark.parametrize("kind", ["parquet", "mcap"])
+def test_small_file_that_unpacks_to_much_is_refused(tmp_path, monkeypatch, kind):
+    resource = pytest.importorskip("resource")
+    monkeypatch.setattr(files, "LOG_MEMORY", 200 * 2**20)
+    path = tmp_path / "dataset" if kind == "parquet" else tmp_path / "run.mcap"
+    if kind == "parquet":
+        formats.write_lerobot(formats.Run(1), path, 1)
+        many = pa.table({name: np.zeros(40_000_000) for name in ("timestamp", "episode_index")})
+        parquet.write_table(many, path / "data" / "chunk-000" / "file-000.parquet")
+    else:
+        with path.open("wb") as stream:
+            writer = Writer(stream, chunk_size=2**29)
+            writer.start()
+            topic = writer.register_channel("/x", "json", 0)
+            for _ in range(4):
+                writer.add_message(topic, 0, b" " * 100_000_000 + b"1", 0)
+            writer.finish()
+    assert sum(each.stat().st_size for each in [path, *path.rglob("*")]) < 10_000_000
+    before = resource.getrlimit(resource.RLIMIT_DATA)
+    with pytest.raises(LogError, match="takes more memory"):
+        read_fields(path)
+    assert resource.getrlimit(resource.RLIMIT_DATA) == before
+    np.zeros(60_000_000)  # and it can be taken again
 
 
 def test_images_clouds_and_words_take_no_columns(tmp_path):
