@@ -330,6 +330,12 @@ COMMANDS: dict[str, Command] = {
             example="--model robot.xml --log a.mcap --hold-out b.mcap --parameters joint.*",
         ),
         Command(
+            "excite",
+            "the motion that tells most of a MuJoCo model's parameters, within limits",
+            "experiments.own.excite",
+            example="--model robot.xml --parameters joint.* --limits limits.toml --out motion.csv",
+        ),
+        Command(
             "replay",
             "a log's commands once more in simulation, beside what was measured",
             "experiments.own.replay",

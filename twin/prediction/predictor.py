@@ -26,7 +26,8 @@ START_ANGLE, START_RATE = 0.1, 1.0
 """Spread of each degree of freedom's place about its measured one, and of its rate [SI]."""
 
 Start = Literal["rest", "moving"]
-_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+"""What a simulation's state is: time, places, rates and activations."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -229,7 +230,7 @@ class ModelPredictor:
         control: FloatArray,
     ) -> FloatArray:
         """Return the state of each simulation at the beginning of a run."""
-        begin = np.empty((len(models), mujoco.mj_stateSize(self._model, _STATE)))
+        begin = np.empty((len(models), mujoco.mj_stateSize(self._model, STATE)))
         data, nv = self._data[0], self._model.nv
         first = len(self.parameters) + 2 * nv * number
         for model, own, state in zip(models, coordinates, begin):
@@ -239,7 +240,7 @@ class ModelPredictor:
                 off = START_ANGLE * own[first : first + nv]
                 mujoco.mj_integratePos(model, data.qpos, off, 1.0)
                 data.qvel[:] = START_RATE * own[first + nv : first + 2 * nv]
-            mujoco.mj_getState(model, data, state, _STATE)
+            mujoco.mj_getState(model, data, state, STATE)
         if self._start == "rest":
             steps = round(SETTLING / self._model.opt.timestep)
             settled, _ = self._roll(models, begin, control[:, :1], steps)

@@ -1,0 +1,180 @@
+"""``excite``: the motion that tells most of a model's parameters."""
+
+import csv
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from controllers.identification.any_model.fit import Measurements, Told, information_of, told
+from controllers.identification.any_model.motion import Series, design
+from experiments.harness.contract import ExperimentError
+from experiments.own.excite_options import Options
+from experiments.own.identification import load_model
+from experiments.own.identify import print_told
+from perception.geometry.arrays import FloatArray
+from twin.logs.log import Log, LogError, Signal
+from twin.logs.writing import write_mcap
+from twin.prediction.limits import Limits, read_limits
+from twin.prediction.parameters import Parameter, ParameterError, explicit, select
+from twin.prediction.predictor import ModelPredictor
+
+
+def run(options: Options) -> int:
+    """Design a motion, write it, and print what it will tell.
+
+    Raises:
+        ExperimentError: If the model or the limits cannot be used.
+    """
+    try:
+        spec = load_model(options.model)
+        model = spec.compile()
+        series = Series(home(model, options.home), options.duration, options.highest)
+        silent = [name for name in sensors(model) if not model.sensor(name).noise[0] > 0.0]
+        if silent:
+            raise ExperimentError(
+                f"{options.model}: noise of sensors {', '.join(silent)} is 0; say it in the model"
+            )
+        limits = Limits.of_model(model)
+        if options.limits is not None:
+            limits = read_limits(options.limits, model)
+        parameters = select(explicit(spec), options.parameters, sensors(model))
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+        with Progress(*columns) as progress:
+            task = progress.add_task("motions", total=options.generations)
+
+            def watch(generation: int, best: float) -> None:
+                text = f"{best:.1f} bits in all"
+                progress.update(task, completed=generation + 1, description=text)
+
+            shape = best_shape(spec, parameters, series, limits, options, watch)
+    except (LogError, ParameterError) as error:
+        raise ExperimentError(str(error)) from None
+    stamps = np.arange(0.0, options.duration + 0.5 * options.period, options.period)
+    names = [model.actuator(index).name for index in range(model.nu)]
+    write_motion(options.out, names, stamps, series.commands(shape, stamps))
+    will_tell = foretold(spec, parameters, series, shape, options)
+    print_told(will_tell)
+    sizes = ", ".join(
+        f"{each.name} to {100.0 * left * each.spread:.2g} %"
+        if each.scale == "factor"
+        else f"{each.name} to {left * each.spread:.2g} {each.unit}"
+        for each, left in zip(parameters, will_tell.sigma)
+        if each.name not in will_tell.unknown
+    )
+    print(f"tells (one deviation): {sizes}")
+    print(f"next: let the robot follow {options.out}, log it, and identify")
+    return 0
+
+
+def home(model: mujoco.MjModel, given: Sequence[float]) -> FloatArray:
+    """Return the commands at rest.
+
+    Raises:
+        ExperimentError: If there are not as many as actuators.
+    """
+    if given:
+        if len(given) != model.nu:
+            raise ExperimentError(f"--home: {len(given)} commands for {model.nu} actuators")
+        return np.array(given)
+    return model.key_ctrl[0].copy() if model.nkey else np.zeros(model.nu)
+
+
+def sensors(model: mujoco.MjModel) -> dict[str, int]:
+    """Return the count of numbers of each sensor."""
+    return {model.sensor(i).name: int(model.sensor_dim[i]) for i in range(model.nsensor)}
+
+
+def best_shape(
+    spec: mujoco.MjSpec,
+    parameters: Sequence[Parameter],
+    series: Series,
+    limits: Limits,
+    options: Options,
+    watch: Callable[[int, float], None],
+) -> FloatArray:
+    """Return the shape of the motion that tells most, in bits of all parameters together.
+
+    Raises:
+        ExperimentError: If no motion keeps to the limits.
+    """
+    model = spec.compile()
+    steps = np.arange(0.0, series.duration, model.opt.timestep)
+
+    def excess(shape: FloatArray) -> float:
+        return limits.excess(model, series.commands(shape, steps))
+
+    if not excess(np.zeros(series.size)) <= 1.0:
+        raise ExperimentError("at rest the robot is beyond a limit; say another --home")
+
+    def worth(shape: FloatArray) -> float:
+        information = information_in(spec, parameters, series, shape, options)
+        return 0.5 * float(np.linalg.slogdet(information + np.eye(len(parameters)))[1]) / np.log(2)
+
+    generator = np.random.default_rng(options.seed)
+    return design(series, worth, excess, generator, options.generations, watch=watch)
+
+
+def information_in(
+    spec: mujoco.MjSpec,
+    parameters: Sequence[Parameter],
+    series: Series,
+    shape: FloatArray,
+    options: Options,
+) -> FloatArray:
+    """Return the information (n, n) that a log of a motion would have on parameters."""
+    model = spec.compile()
+    stamps = np.arange(0.0, series.duration, options.period)
+    samples = np.arange(0.0, series.duration, 1.0 / options.rate)
+    commands = series.commands(shape, stamps)
+    signals = {
+        model.actuator(index).name: Signal("actuator", stamps, commands[:, [index]])
+        for index in range(model.nu)
+    }
+    for name, count in sensors(model).items():
+        signals[name] = Signal("sensor", samples, np.zeros((len(samples), count)))
+    predictor = ModelPredictor(spec, parameters, [Log(signals)])
+    places = list(predictor.channels.values())
+    measured = Measurements(predictor.measured, predictor.sigma, places, predictor.steps)
+    try:
+        return information_of(predictor, measured, np.zeros(len(parameters)))
+    finally:
+        predictor.close()
+
+
+def foretold(
+    spec: mujoco.MjSpec,
+    parameters: Sequence[Parameter],
+    series: Series,
+    shape: FloatArray,
+    options: Options,
+) -> Told:
+    """Return what a log of a motion will tell."""
+    information = information_in(spec, parameters, series, shape, options)
+    return told(information, [each.name for each in parameters], np.zeros(len(parameters)))
+
+
+def write_motion(
+    path: Path, names: Sequence[str], stamps: FloatArray, commands: FloatArray
+) -> None:
+    """Write a motion, as a table or as a log of its actuators.
+
+    Raises:
+        ExperimentError: If it cannot be written.
+    """
+    try:
+        if path.suffix == ".csv":
+            with path.open("w", newline="") as stream:
+                writer = csv.writer(stream)
+                writer.writerow(["t", *names])
+                writer.writerows(np.column_stack([stamps, commands]).tolist())
+            return
+        signals = {
+            name: Signal("actuator", stamps, commands[:, [index]])
+            for index, name in enumerate(names)
+        }
+        write_mcap(Log(signals), path)
+    except OSError as error:
+        raise ExperimentError(f"{path}: {error.strerror}") from None

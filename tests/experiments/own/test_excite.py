@@ -1,0 +1,103 @@
+"""``excite``: a motion within limits that tells more than a hand-made one."""
+
+import csv
+
+import mujoco
+import numpy as np
+import pytest
+
+from controllers.identification.any_model.motion import Series
+from experiments.__main__ import main
+from experiments.own.excite import information_in, sensors
+from experiments.own.excite_options import Options
+from experiments.own.identification import load_model
+from tests.experiments.own import hidden
+from twin.logs.mapping import read_log
+from twin.prediction.limits import read_limits
+from twin.prediction.parameters import explicit, select
+
+NAMES = ["joint.*.damping", "joint.*.stiffness", "body.*.mass", "delay"]
+LIMITS = "[joints.root]\nposition = [-0.3, 0.3]\n[joints.rail]\nrate = 1.0\n"
+
+
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory):
+    """A motion of the cart, of 4 s."""
+    folder = tmp_path_factory.mktemp("excite")
+    (folder / "limits.toml").write_text(LIMITS)
+    words = ["excite", "--model", hidden.robot("cart"), "--limits", f"{folder}/limits.toml"]
+    words += ["--duration", "4", "--generations", "3", "--parameters", *NAMES]
+    assert main([*words, "--out", f"{folder}/motion.csv"]) == 0
+    with (folder / "motion.csv").open() as stream:
+        head, *rows = csv.reader(stream)
+    assert head == ["t", "push"]
+    return folder, words, np.array(rows, dtype=float)
+
+
+def test_motion_keeps_to_the_limits(designed):
+    _, _, rows = designed
+    model = mujoco.MjModel.from_xml_path(hidden.robot("cart"))
+    data = mujoco.MjData(model)
+    largest = np.zeros(2)
+    for stamp, command in rows:
+        data.ctrl[:] = command
+        while data.time < stamp + 0.001:
+            mujoco.mj_step(model, data)
+        largest = np.maximum(
+            largest, np.abs([data.joint("root").qpos[0], data.joint("rail").qvel[0]])
+        )
+    assert np.all(largest < [0.305, 1.01]) and (largest / [0.3, 1.0]).max() > 0.9
+    assert rows[0, 1] == rows[-1, 1] == 0.0
+
+
+class Given(Series):
+    """A motion that is given."""
+
+    def commands(self, shape, stamps):
+        return np.interp(stamps, *shape)[:, None]
+
+
+def test_motion_tells_more_than_a_chirp_within_the_same_limits(designed):
+    folder, _, rows = designed
+    spec = load_model(folder.__class__(hidden.robot("cart")))
+    model = spec.compile()
+    options = Options(model=folder, parameters=(), out=folder / "a.csv", duration=4.0)
+    parameters = select(explicit(spec), NAMES, sensors(model))
+    series = Given(np.zeros(1), 4.0, 2.0)
+    stamps = rows[:, 0]
+    chirp = np.sin(2.0 * np.pi * (0.1 * stamps + 1.9 * stamps**2 / 8.0)) * np.minimum(stamps, 1.0)
+    limits = read_limits(folder / "limits.toml", model)
+    steps = np.arange(0.0, 4.0, model.opt.timestep)
+    sizes = [
+        size
+        for size in np.geomspace(0.1, 30.0, 60)
+        if limits.excess(model, series.commands((stamps, size * chirp), steps)) <= 1.0
+    ]
+    bits = []
+    for commands in (rows[:, 1], max(sizes) * chirp):
+        found = information_in(spec, parameters, series, (stamps, commands), options)
+        bits.append(0.5 * np.linalg.slogdet(found + np.eye(len(parameters)))[1] / np.log(2.0))
+    assert bits[0] > bits[1] + 3.0
+
+
+def test_a_motion_is_written_as_a_log_as_well(designed):
+    folder, words, rows = designed
+    assert main([*words, "--out", f"{folder}/motion.mcap"]) == 0
+    log = read_log(folder / "motion.mcap")
+    np.testing.assert_array_equal(log.signals["push"].values[:, 0], rows[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (["--out", "motion.txt"], 2, "--out motion.txt: expected a file .csv or .mcap"),
+        (["--out", "motion.csv", "--duration", "1"], 2, "--duration: expected above 3"),
+        (["--out", "motion.csv", "--home", "1", "2"], 1, "--home: 2 commands for 1 actuators"),
+        (["--out", "motion.csv", "--limits", "none.toml"], 1, "none.toml: "),
+    ],
+)
+def test_bad_input_is_one_line(words, status, message, capsys):
+    known = ["excite", "--model", hidden.robot("cart"), "--parameters", "delay"]
+    assert main([*known, *words]) == status
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1
