@@ -18,7 +18,7 @@ from perception.geometry.arrays import FloatArray
 from twin.logs.log import Log, LogError, Signal
 from twin.logs.writing import write_mcap
 from twin.prediction.limits import Limits, read_limits
-from twin.prediction.parameters import Parameter, ParameterError, explicit, select
+from twin.prediction.parameters import ModelError, Parameter, explicit, select
 from twin.prediction.predictor import ModelPredictor
 
 
@@ -50,7 +50,7 @@ def run(options: Options) -> int:
                 progress.update(task, completed=generation + 1, description=text)
 
             shape = best_shape(spec, parameters, series, limits, options, watch)
-    except (LogError, ParameterError) as error:
+    except (LogError, ModelError) as error:
         raise ExperimentError(str(error)) from None
     stamps = np.arange(0.0, options.duration + 0.5 * options.period, options.period)
     names = [model.actuator(index).name for index in range(model.nu)]

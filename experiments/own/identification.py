@@ -18,7 +18,7 @@ from controllers.identification.any_model.fit import (
 )
 from perception.geometry.arrays import FloatArray
 from twin.logs.log import Log
-from twin.prediction.parameters import Parameter, ParameterError, explicit, select
+from twin.prediction.parameters import ModelError, Parameter, explicit, select
 from twin.prediction.predictor import ModelPredictor, Start
 
 CONFIRMED = 0.5
@@ -155,13 +155,13 @@ def load_model(path: Path) -> mujoco.MjSpec:
     """Return the specification of a model file (MJCF or URDF).
 
     Raises:
-        ParameterError: If it cannot be read; in one line that names it.
+        ModelError: If it cannot be read; in one line that names it.
     """
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compile()
     except (ValueError, OSError) as error:
-        raise ParameterError(f"{path}: {' '.join(str(error).split())}") from None
+        raise ModelError(f"{path}: {' '.join(str(error).split())}") from None
     # What is written elsewhere still finds meshes and textures.
     for kind in ("meshdir", "texturedir"):
         setattr(spec, kind, str((path.parent / getattr(spec, kind)).resolve()))
@@ -191,7 +191,7 @@ def identify(
         check: Called before the fit with what the logs can tell.
 
     Raises:
-        ParameterError: If the model has no such parameter.
+        ModelError: If the model has no such parameter.
         LogError: If a log does not fit the model.
         FitError: If the model diverges.
     """

@@ -16,7 +16,7 @@ from experiments.own.pages import write_all
 from twin.logs.checks import problems
 from twin.logs.log import Log, LogError
 from twin.logs.mapping import read_log, read_mapping
-from twin.prediction.parameters import ParameterError, catalogue, explicit
+from twin.prediction.parameters import ModelError, catalogue, explicit
 
 DOUBTED = 1
 """Exit status of an identification that is not called good."""
@@ -58,7 +58,7 @@ def run(options: Options) -> int:
                 watch,
                 print_told,
             )
-    except (LogError, ParameterError, FitError) as error:
+    except (LogError, ModelError, FitError) as error:
         raise ExperimentError(str(error)) from None
     print_estimates(found.estimates)
     page = write_all(found, options.out)

@@ -30,7 +30,7 @@ from twin.logs.mapping import read_log
 from twin.logs.settings import read_settings
 from twin.logs.writing import LogWriter
 from twin.loop import run as run_loop
-from twin.prediction.parameters import ParameterError
+from twin.prediction.parameters import ModelError
 from twin.robot import applied_command
 
 SHOWN = 12
@@ -85,7 +85,7 @@ def run(options: Options) -> int:
             curves = replay_own(options.log)
         else:
             curves = replay_model(options)
-    except (LogError, ParameterError, FitError) as error:
+    except (LogError, ModelError, FitError) as error:
         raise ExperimentError(str(error)) from None
     write_all(curves, options.out)
     print_curves(curves)
@@ -157,7 +157,7 @@ def replay_model(options: Options) -> list[Curve]:
     """Drive a model by the commands of a log.
 
     Raises:
-        ParameterError: If the model cannot be read.
+        ModelError: If the model cannot be read.
         LogError: If the log cannot be read, or does not fit the model.
         FitError: If the model diverges.
     """

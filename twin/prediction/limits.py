@@ -14,7 +14,7 @@ from mujoco.rollout import rollout
 
 from perception.geometry import files
 from perception.geometry.arrays import FloatArray
-from twin.prediction.parameters import ParameterError
+from twin.prediction.parameters import ModelError
 from twin.prediction.predictor import SETTLING, STATE
 
 STRIDE = 5
@@ -123,13 +123,13 @@ def read_limits(path: Path, model: mujoco.MjModel) -> Limits:
     """Read limits, on top of the ranges that the model states.
 
     Raises:
-        ParameterError: In one line that names the file, the entry and what is expected.
+        ModelError: In one line that names the file, the entry and what is expected.
     """
     try:
         return _limits(files.read_toml(path, files.SETTINGS), model)
     except (OSError, ValueError, TypeError) as error:
         text = error.strerror if isinstance(error, OSError) else " ".join(str(error).split())
-        raise ParameterError(f"{path}: {text}") from None
+        raise ModelError(f"{path}: {text}") from None
 
 
 def _limits(content: Mapping[str, Any], model: mujoco.MjModel) -> Limits:

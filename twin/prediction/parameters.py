@@ -34,8 +34,8 @@ Scale = Literal["factor", "offset", "from zero"]
 Writer = Callable[[mujoco.MjSpec, float], None]
 
 
-class ParameterError(ValueError):
-    """A parameter that the model does not have, or of which too little is said; in one line."""
+class ModelError(ValueError):
+    """A model, or a parameter or limit of one, that cannot be used; in one line."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -107,7 +107,7 @@ def select(
         sensors: Count of numbers of each sensor in the logs, by name.
 
     Raises:
-        ParameterError: Naming what does not fit, and what there is.
+        ModelError: Naming what does not fit, and what there is.
     """
     known = {each.name: each for each in catalogue(spec, sensors)}
     chosen: dict[str, Parameter] = {}
@@ -115,13 +115,13 @@ def select(
         name, _, text = pattern.partition(":")
         names = fnmatch.filter(known, name)
         if not names:
-            raise ParameterError(f"{name}: no such parameter; there are {', '.join(known)}")
+            raise ModelError(f"{name}: no such parameter; there are {', '.join(known)}")
         for each in names:
             spread = _spread(pattern, text) if text else known[each].spread
             if not spread and each != name:
                 continue
             if not spread:
-                raise ParameterError(
+                raise ModelError(
                     f"{each} is {known[each].nominal:g} as drawn; say behind a colon how large it "
                     f"may well be [{known[each].unit}]: {each}:0.1"
                 )
@@ -135,7 +135,7 @@ def _spread(pattern: str, text: str) -> float:
     except ValueError:
         spread = 0.0
     if not 0.0 < spread < np.inf:
-        raise ParameterError(f"{pattern}: the spread behind the colon is a number above 0")
+        raise ModelError(f"{pattern}: the spread behind the colon is a number above 0")
     return spread
 
 

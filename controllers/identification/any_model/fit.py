@@ -73,7 +73,7 @@ class Measurements:
             residuals: (r,) over `sigma`.
 
         Returns:
-            (r,) factors, 1 or more: a channel's chi^2 per sample.
+            (r,) factors, each 1 or more, its channel's chi^2 per sample.
         """
         heat = np.ones(len(residuals))
         for channel in self.channels:

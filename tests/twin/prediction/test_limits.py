@@ -8,7 +8,7 @@ import pytest
 
 from tests.experiments.own import hidden
 from twin.prediction.limits import Limits, read_limits
-from twin.prediction.parameters import ParameterError
+from twin.prediction.parameters import ModelError
 
 FREE = Limits({}, {}, {}, {}, {})
 
@@ -102,6 +102,6 @@ def test_limits_of_a_file_are_added_to_the_models_own(tmp_path):
 def test_bad_limits_are_refused_in_one_line(tmp_path, text, message):
     path = tmp_path / "limits.toml"
     path.write_text(text)
-    with pytest.raises(ParameterError, match=message) as caught:
+    with pytest.raises(ModelError, match=message) as caught:
         read_limits(path, model_of("cart"))
     assert str(caught.value).startswith(str(path)) and "\n" not in str(caught.value)

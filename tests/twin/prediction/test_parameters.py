@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.experiments.own.hidden import SWINGS, robot
-from twin.prediction.parameters import ParameterError, catalogue, explicit, select, write_all
+from twin.prediction.parameters import ModelError, catalogue, explicit, select, write_all
 
 MODEL = """<mujoco><worldbody>
   <geom name="floor" type="plane" size="1 1 1" friction="0.6"/>
@@ -156,6 +156,6 @@ def test_pattern_takes_what_has_a_usual_spread_and_the_one_that_is_said():
     ],
 )
 def test_bad_parameter_is_refused_in_one_line(pattern, message):
-    with pytest.raises(ParameterError, match=message) as caught:
+    with pytest.raises(ModelError, match=message) as caught:
         select(drawn(), [pattern], {})
     assert "\n" not in str(caught.value)
