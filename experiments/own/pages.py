@@ -20,6 +20,12 @@ SHOWN = 12
 """Most channels of a figure."""
 UNWHITE = 0.01
 """Probability below which residuals are no noise."""
+CAPTIONS = {
+    "parameters": "Parameters, over their values as drawn",
+    "fitted": "Runs that were fitted",
+    "unseen": "Runs that were held out",
+}
+"""What a figure shows."""
 MEASURED, DRAWN, TUNED = "0.2", "tab:orange", "tab:blue"
 
 
@@ -131,10 +137,10 @@ def _page(found: Identified, pictures: Sequence[Path]) -> str:
     )
     images = ""
     for path in pictures:
-        image = embed(path)
+        image, caption = embed(path), CAPTIONS[path.stem]
         images += (
             f'<figure><img src="{image.url}" width="{image.width}" height="{image.height}" '
-            f'alt="{escape(path.stem)}"></figure>'
+            f'alt="{caption}"><figcaption>{caption}</figcaption></figure>'
         )
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
