@@ -8,11 +8,11 @@ import mujoco
 import numpy as np
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from controllers.identification.any_model.fit import Measurements, Told, information_of, told
+from controllers.identification.any_model.fit import FitError, Told, information_of, told
 from controllers.identification.any_model.motion import Series, design
 from experiments.harness.contract import ExperimentError
 from experiments.own.excite_options import Options
-from experiments.own.identification import load_model
+from experiments.own.identification import load_model, measurements
 from experiments.own.identify import print_told
 from perception.geometry.arrays import FloatArray
 from twin.logs.log import Log, LogError, Signal
@@ -50,7 +50,7 @@ def run(options: Options) -> int:
                 progress.update(task, completed=generation + 1, description=text)
 
             shape = best_shape(spec, parameters, series, limits, options, watch)
-    except (LogError, ModelError) as error:
+    except (LogError, ModelError, FitError) as error:
         raise ExperimentError(str(error)) from None
     stamps = np.arange(0.0, options.duration + 0.5 * options.period, options.period)
     names = [model.actuator(index).name for index in range(model.nu)]
@@ -136,10 +136,8 @@ def information_in(
     for name, count in sensors(model).items():
         signals[name] = Signal("sensor", samples, np.zeros((len(samples), count)))
     predictor = ModelPredictor(spec, parameters, [Log(signals)])
-    places = list(predictor.channels.values())
-    measured = Measurements(predictor.measured, predictor.sigma, places, predictor.steps)
     try:
-        return information_of(predictor, measured, np.zeros(len(parameters)))
+        return information_of(predictor, measurements(predictor), np.zeros(len(parameters)))
     finally:
         predictor.close()
 

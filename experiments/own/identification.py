@@ -199,7 +199,7 @@ def identify(
     spec.option.timestep = min(spec.option.timestep, step)
     parameters = select(explicit(spec), patterns, _sensors(logs))
     predictor = ModelPredictor(spec, parameters, logs, start)
-    measured = _measurements(predictor)
+    measured = measurements(predictor)
     drawn = np.zeros(len(predictor.names))
     before = told(information_of(predictor, measured, drawn), predictor.names, drawn)
     check(before)
@@ -251,7 +251,8 @@ def _sensors(logs: Sequence[Log]) -> Mapping[str, int]:
     }
 
 
-def _measurements(predictor: ModelPredictor) -> Measurements:
+def measurements(predictor: ModelPredictor) -> Measurements:
+    """Return what was measured in the logs of a predictor."""
     places = list(predictor.channels.values())
     return Measurements(predictor.measured, predictor.sigma, places, predictor.steps)
 
@@ -299,7 +300,7 @@ def _unseen(
             def from_begin(begins: FloatArray, own: FloatArray = own) -> FloatArray:
                 return predictor(np.hstack([np.tile(own, (len(begins), 1)), begins]))
 
-            measured = dataclasses.replace(_measurements(predictor), steps=predictor.steps[count:])
+            measured = dataclasses.replace(measurements(predictor), steps=predictor.steps[count:])
             begin = fit(from_begin, measured, predictor.lowest[count:]).coordinates
         predicted.append(predictor(np.concatenate([own, begin])[None])[0])
     return Runs(predictor, *predicted)

@@ -42,6 +42,7 @@ SHRINKAGE = 0.5
 """A parameter of which the deviation stays above this share of the one beforehand was not told."""
 RANGE = 2.0
 """Range on which information is counted in bits, in deviations beforehand to either side."""
+DIVERGED = "the model diverges under the commands of the log; is its step too long?"
 NOTED = 0.2
 """Least weight of a parameter that is named in a combination."""
 
@@ -136,7 +137,6 @@ def fit(
     predict: Predict,
     measured: Measurements,
     lowest: FloatArray,
-    start: FloatArray | None = None,
     watch: Callable[[int, float], None] = lambda step, chi_square: None,
 ) -> Fit:
     """Fit coordinates to measurements.
@@ -145,14 +145,12 @@ def fit(
         predict: The model.
         measured: What was measured.
         lowest: (n,) least values of the coordinates; minus infinity where there is none.
-        start: (n,) where to begin; at what is likeliest beforehand unless given.
         watch: Called with the number of each step and the chi^2 per sample before it.
 
     Raises:
         FitError: If the model diverges where it begins.
     """
-    x = np.maximum(np.zeros(len(lowest)) if start is None else start, lowest)
-    x = _scanned(predict, measured, x, lowest)
+    x = _scanned(predict, measured, np.maximum(np.zeros(len(lowest)), lowest), lowest)
     damping, step, left = DAMPING, 0, MOST_JUMPS
     while True:
         residuals, rows = _linearised(predict, measured, x)
@@ -190,6 +188,8 @@ def _scanned(
         trials = np.repeat(x[None], len(SCAN), axis=0)
         trials[:, index] += SCAN
         off = (measured.values - predict(trials)) / measured.sigma
+        if not np.isfinite(off[0]).all():
+            raise FitError(DIVERGED)
         heat = measured.heat(off[0])
         costs = [_cost(each, heat, trial) for each, trial in zip(off, trials, strict=True)]
         x = trials[int(np.nanargmin(costs))]
@@ -230,7 +230,7 @@ def _jump(
     off = (measured.values - predict(trials)) / measured.sigma
     heat = measured.heat(now.residuals)
     costs = [_cost(each, heat, trial) for each, trial in zip(off, trials, strict=True)]
-    best = int(np.nanargmin(costs))
+    best = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
     return trials[best] if costs[best] < _cost(now.residuals, heat, now.coordinates) else None
 
 
@@ -277,7 +277,7 @@ def _linearised(
     below = x - np.diag(steps)[coarse]
     found = predict(np.vstack([above, below]))
     if not np.isfinite(found).all():
-        raise FitError("the model diverges under the commands of the log; is its step too long?")
+        raise FitError(DIVERGED)
     rows = (found[1 : len(above)] - found[0]) / steps[:, None]
     rows[coarse] = (found[1 : len(above)][coarse] - found[len(above) :]) / (
         2.0 * steps[coarse, None]

@@ -80,6 +80,7 @@ def test_local_optimum_is_left_by_a_jump():
     assert found.coordinates[0] == pytest.approx(1.1, abs=1e-3)
 
 
-def test_model_that_diverges_is_told():
+@pytest.mark.parametrize("lowest", [OPEN, np.zeros(3)])
+def test_model_that_diverges_is_told(lowest):
     with pytest.raises(FitError, match="diverges"):
-        fit(lambda x: np.full((len(x), 5), np.nan), measured(np.zeros(5), np.ones(5)), OPEN)
+        fit(lambda x: np.full((len(x), 5), np.nan), measured(np.zeros(5), np.ones(5)), lowest)
