@@ -46,7 +46,7 @@ def run(options: Options) -> int:
             task = progress.add_task("motions", total=options.generations)
 
             def watch(generation: int, best: float) -> None:
-                text = f"{best:.1f} bits in all"
+                text = f"deviations to {100.0 * 2.0**-best:.2g} % of those beforehand"
                 progress.update(task, completed=generation + 1, description=text)
 
             shape = best_shape(spec, parameters, series, limits, options, watch)
@@ -95,7 +95,9 @@ def best_shape(
     options: Options,
     watch: Callable[[int, float], None],
 ) -> FloatArray:
-    """Return the shape of the motion that tells most, in bits of all parameters together.
+    """Return the shape of the motion after which least is left of what is unknown.
+
+    That is the mean of the parameters' squared deviations, in deviations beforehand.
 
     Raises:
         ExperimentError: If no motion keeps to the limits.
@@ -111,7 +113,8 @@ def best_shape(
 
     def worth(shape: FloatArray) -> float:
         information = information_in(spec, parameters, series, shape, options)
-        return 0.5 * float(np.linalg.slogdet(information + np.eye(len(parameters)))[1]) / np.log(2)
+        left = np.linalg.inv(information + np.eye(len(parameters)))
+        return -0.5 * float(np.log2(np.trace(left) / len(parameters)))
 
     generator = np.random.default_rng(options.seed)
     return design(series, worth, excess, generator, options.generations, watch=watch)

@@ -25,7 +25,8 @@ class Options:
         hold_out: Further runs, which confirm the result or do not.
         mapping: TOML file that says which field of the logs is which actuator or sensor of the
             model; without it the signals of logs of ours bear its names.
-        start: Runs begin at rest under their first commands, or moving: then it is sought how.
+        start: Runs begin at rest under their first commands, or held where joints were measured, or
+            moving: then it is sought how.
         step: Time step of the simulations, in seconds; the model's own if that is shorter. One too
             long shows as a delay and as damping.
         anyway: Go on though something is wrong with a log.
@@ -37,7 +38,7 @@ class Options:
     parameters: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME[:SPREAD] ...")] = ()
     hold_out: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="FILE ...")] = ()
     mapping: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    start: Literal["rest", "moving"] = "rest"
+    start: Literal["rest", "held", "moving"] = "rest"
     step: float = STEP
     anyway: bool = False
     out: Path = Path("results/identify")

@@ -21,8 +21,8 @@ class Options:
             a log that does not say.
         mapping: TOML file that says which field of the log is which actuator or sensor of the
             model; without it the signals of a log of ours bear its names.
-        start: With a model, the run begins at rest under its first commands, or moving: then it is
-            sought how.
+        start: With a model, the run begins at rest under its first commands, or held where joints
+            were measured, or moving: then it is sought how.
         step: With a model, longest time step of the simulation, in seconds.
         out: Folder of what is written: figure, table, recording for rerun, replay.json.
     """
@@ -30,7 +30,7 @@ class Options:
     log: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     model: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     mapping: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    start: Literal["rest", "moving"] = "rest"
+    start: Literal["rest", "held", "moving"] = "rest"
     step: float = STEP
     out: Path = Path("results/replay")
 

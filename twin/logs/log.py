@@ -79,3 +79,21 @@ class Log:
     """
 
     signals: Mapping[str, Signal]
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Times of the first and the last sample [s]; NaN if there is none."""
+        stamps = np.concatenate([each.stamps for each in self.signals.values()] or [np.empty(0)])
+        good = stamps[np.isfinite(stamps)]
+        return (float(good.min()), float(good.max())) if len(good) else (math.nan, math.nan)
+
+    def until(self, time: float) -> "Log":
+        """Return what was recorded before a time [s], of signals that have any."""
+        cut: dict[str, Signal] = {}
+        for name, each in self.signals.items():
+            early = each.stamps < time
+            if early.any():
+                cut[name] = dataclasses.replace(
+                    each, stamps=each.stamps[early], values=each.values[early]
+                )
+        return Log(cut)

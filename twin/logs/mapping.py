@@ -34,7 +34,7 @@ UNITS: dict[str, tuple[float, str]] = {
 """What a unit is in SI units, and the name of that one."""
 _ROLES: dict[str, Role] = {"actuators": "actuator", "sensors": "sensor"}
 _Item = TypeVar("_Item")
-_KEYS = {"field", "fields", "unit", "sign", "delay", "frame", "noise"}
+_KEYS = {"field", "fields", "unit", "scale", "sign", "delay", "frame", "noise"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,7 +48,8 @@ class Source:
         signs: One factor, 1 or -1, for each field.
         delay: Age of a sample at its stamp [s].
         frame: Frame of a vector.
-        noise: Standard deviation of a sensor's noise, in the fields' unit; NaN if not known.
+        noise: Standard deviation of a sensor's noise, in the fields' numbers; NaN if not known.
+        scale: What one of the fields' numbers is in their unit, such as that of a count.
     """
 
     role: Role
@@ -58,6 +59,7 @@ class Source:
     delay: float = 0.0
     frame: str = ""
     noise: float = math.nan
+    scale: float = 1.0
 
     def signal(self, fields: Mapping[str, Field]) -> Signal:
         """Return its samples in SI units.
@@ -71,6 +73,7 @@ class Source:
         chosen = [fields[name] for name in self.fields]
         stamps, columns = _together(self.fields, chosen)
         factor, unit = UNITS[self.unit]
+        factor *= self.scale
         signs = np.array(self.signs or [1.0] * len(chosen))
         values = factor * signs * columns
         noise = factor * self.noise
@@ -204,10 +207,13 @@ def _source(where: str, role: Role, entry: Any) -> Source:
         raise LogError(f"{where}: frame is a name")
     noise = table.get("noise", math.nan)
     if not isinstance(noise, int | float) or noise <= 0.0:
-        raise LogError(f"{where}: noise is a number above 0, in the unit of the fields")
+        raise LogError(f"{where}: noise is a number above 0, as the fields' own are")
+    scale = table.get("scale", 1.0)
+    if not isinstance(scale, int | float) or not 0.0 < scale < math.inf:
+        raise LogError(f"{where}: scale is a number above 0")
     unit = _unit(f"{where}: unit", table.get("unit", ""), None)
     late = _seconds(f"{where}: delay", delay)
-    return Source(role, tuple(names), unit, tuple(signs), late, frame, float(noise))
+    return Source(role, tuple(names), unit, tuple(signs), late, frame, float(noise), scale)
 
 
 def _is_list_of(kind: type[_Item], value: Any) -> TypeGuard[list[_Item]]:

@@ -15,7 +15,7 @@ from mujoco.rollout import rollout
 from perception.geometry import files
 from perception.geometry.arrays import FloatArray
 from twin.prediction.parameters import ModelError
-from twin.prediction.predictor import SETTLING, STATE
+from twin.prediction.predictor import SETTLING, STATE, rest, rest_of
 
 STRIDE = 5
 """Steps between two looks at forces, sites and contacts."""
@@ -74,7 +74,7 @@ class Limits:
             controls: (steps, nu) commands of each time step; it is settled under the first.
         """
         data = mujoco.MjData(model)
-        data.ctrl[:] = controls[0]
+        rest(model, data, rest_of(model), controls[0])
         mujoco.mj_step(model, data, round(SETTLING / model.opt.timestep))
         touching = data.ncon
         start = np.empty(mujoco.mj_stateSize(model, STATE))

@@ -318,6 +318,7 @@ def _set_inertial(body: Any, mass: float, centre: FloatArray, moments: FloatArra
     inertia = np.trace(moments) * np.eye(3) - moments
     body.explicitinertial = True
     body.mass, body.ipos, body.iquat = mass, centre, [1.0, 0.0, 0.0, 0.0]
+    body.inertia = np.zeros(3)  # MuJoCo takes one or the other.
     body.fullinertia = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
 
 

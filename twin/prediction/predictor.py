@@ -20,12 +20,18 @@ SETTLING = 2.0
 """Time that a model is given to come to rest under the first commands [s]."""
 BATCH = 64e6
 """Most numbers of a batch of simulations that are held at once."""
-SMALL = 1e-4
-"""Step of a coordinate that derivatives need, in deviations beforehand."""
+SMALL = 1e-6
+"""Step of a coordinate that derivatives need, in deviations beforehand: dry friction bends what is
+predicted so sharply that 1e-4 shows information on what no log can tell."""
 START_ANGLE, START_RATE = 0.1, 1.0
 """Spread of each degree of freedom's place about its measured one, and of its rate [SI]."""
 
-Start = Literal["rest", "moving"]
+HOLDING = 1e6
+"""Inertia that holds a measured joint while all else comes to rest [kg m^2, kg]."""
+
+_FILTERS = (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT)
+
+Start = Literal["rest", "held", "moving"]
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 """What a simulation's state is: time, places, rates and activations."""
 
@@ -61,6 +67,7 @@ class _Run:
         commands: Stamps and values of each actuator's command.
         readings: What was measured.
         start: (nq,) places at the beginning, as far as they were measured.
+        joints: Joints that were measured, with the names of their signals.
     """
 
     begin: float
@@ -68,6 +75,7 @@ class _Run:
     commands: Mapping[int, tuple[FloatArray, FloatArray]]
     readings: Sequence[_Reading]
     start: FloatArray
+    joints: Mapping[int, str]
 
 
 class ModelPredictor:
@@ -81,8 +89,10 @@ class ModelPredictor:
         spec: The model as drawn.
         parameters: Parameters of the model.
         logs: Runs of the robot; NaN among their samples are left out.
-        start: ``rest``: each run begins at rest under its first commands, with joints where they
-            were measured; ``moving``: places and rates at the beginning are sought as well, two
+        start: ``rest``: each run begins where the model comes to rest under its first commands,
+            from where joints were measured, else from the first key frame; ``held``: joints that
+            were measured are held there until the first command, and all else has come to rest;
+            ``moving``: places and rates at the beginning are sought as well, two
             coordinates for each degree of freedom and run, after those of the parameters.
 
     Attributes:
@@ -233,19 +243,30 @@ class ModelPredictor:
         begin = np.empty((len(models), mujoco.mj_stateSize(self._model, STATE)))
         data, nv = self._data[0], self._model.nv
         first = len(self.parameters) + 2 * nv * number
-        for model, own, state in zip(models, coordinates, begin):
-            mujoco.mj_resetData(model, data)
-            data.qpos[:] = self._runs[number].start
+        run = self._runs[number]
+        for model, own, state, commands in zip(models, coordinates, begin, control[:, 0]):
+            rest(model, data, run.start, commands)
+            values = self._values(own)
+            for joint, name in run.joints.items():
+                data.qpos[model.jnt_qposadr[joint]] -= values.get(f"sensor.{name}.bias", 0.0)
             if self._start == "moving":
                 off = START_ANGLE * own[first : first + nv]
                 mujoco.mj_integratePos(model, data.qpos, off, 1.0)
                 data.qvel[:] = START_RATE * own[first + nv : first + 2 * nv]
             mujoco.mj_getState(model, data, state, STATE)
-        if self._start == "rest":
-            steps = round(SETTLING / self._model.opt.timestep)
-            settled, _ = self._roll(models, begin, control[:, :1], steps)
-            begin = settled[:, -1].copy()
-            begin[:, 0] = 0.0
+        if self._start == "moving":
+            return begin
+        dofs = [self._model.jnt_dofadr[joint] for joint in run.joints]
+        own_inertia = [model.dof_armature.copy() for model in models]
+        if self._start == "held":
+            for model in models:
+                model.dof_armature[dofs] = HOLDING
+        steps = round(SETTLING / self._model.opt.timestep)
+        settled, _ = self._roll(models, begin, control[:, :1], steps)
+        for model, inertia in zip(models, own_inertia):
+            model.dof_armature[:] = inertia
+        begin = settled[:, -1].copy()
+        begin[:, 0] = 0.0
         return begin
 
     def _roll(
@@ -282,7 +303,7 @@ def _sampled(
 def _run(model: mujoco.MjModel, log: Log) -> _Run:
     commands: dict[int, tuple[FloatArray, FloatArray]] = {}
     readings: list[_Reading] = []
-    start = model.qpos0.copy()
+    start, joints = rest_of(model), dict[int, str]()
     for name, signal in log.signals.items():
         good = np.isfinite(signal.values).all(axis=1) & np.isfinite(signal.stamps)
         order = np.flatnonzero(good)
@@ -297,15 +318,42 @@ def _run(model: mujoco.MjModel, log: Log) -> _Run:
         else:
             reading = _reading(model, name, stamps, values, signal.noise)
             readings.append(reading)
-            if reading.in_state and name.endswith(".position"):
-                start[reading.place - 1 : reading.place - 1 + values.shape[1]] = values[0]
+            joint = _joint_of(model, reading)
+            if joint is not None:
+                joints[joint] = name
+                start[model.jnt_qposadr[joint]] = values[0, 0]
     if not readings or not commands:
         raise LogError("no sensor is measured" if commands else "no actuator is commanded")
     ends = [stamps for stamps, _ in commands.values()] + [each.stamps for each in readings]
     begin = min(float(each[0]) for each in ends)
     last = max(float(each.stamps[-1]) for each in readings)
     steps = int(np.ceil((last - begin) / model.opt.timestep)) + 2
-    return _Run(begin, steps, commands, readings, start)
+    return _Run(begin, steps, commands, readings, start, joints)
+
+
+def rest_of(model: mujoco.MjModel) -> FloatArray:
+    """Return the places (nq,) at rest: those of the first key frame, if there is one."""
+    return model.key_qpos[0].copy() if model.nkey else model.qpos0.copy()
+
+
+def rest(
+    model: mujoco.MjModel, data: mujoco.MjData, places: FloatArray, command: FloatArray
+) -> None:
+    """Set a simulation to rest at places (nq,) under a command (nu,) that filters have followed."""
+    mujoco.mj_resetData(model, data)
+    data.qpos[:], data.ctrl[:] = places, command
+    for index in np.flatnonzero(np.isin(model.actuator_dyntype, _FILTERS)):
+        data.act[model.actuator_actadr[index]] = command[index]
+
+
+def _joint_of(model: mujoco.MjModel, reading: _Reading) -> int | None:
+    """Return the joint of which a reading is the place, or none."""
+    if reading.in_state:
+        places = np.flatnonzero(model.jnt_qposadr == reading.place - 1)
+        return int(places[0]) if len(places) else None
+    sensor = int(np.flatnonzero(model.sensor_adr == reading.place)[0])
+    is_place = model.sensor_type[sensor] == mujoco.mjtSensor.mjSENS_JOINTPOS
+    return int(model.sensor_objid[sensor]) if is_place else None
 
 
 def _reading(

@@ -138,6 +138,7 @@ def fit(
     measured: Measurements,
     lowest: FloatArray,
     watch: Callable[[int, float], None] = lambda step, chi_square: None,
+    begin: FloatArray | None = None,
 ) -> Fit:
     """Fit coordinates to measurements.
 
@@ -146,11 +147,13 @@ def fit(
         measured: What was measured.
         lowest: (n,) least values of the coordinates; minus infinity where there is none.
         watch: Called with the number of each step and the chi^2 per sample before it.
+        begin: (n,) coordinates to begin with; None for zero.
 
     Raises:
         FitError: If the model diverges where it begins.
     """
-    x = _scanned(predict, measured, np.maximum(np.zeros(len(lowest)), lowest), lowest)
+    x = np.maximum(np.zeros(len(lowest)) if begin is None else begin, lowest)
+    x = _scanned(predict, measured, x, lowest)
     damping, step, left = DAMPING, 0, MOST_JUMPS
     while True:
         residuals, rows = _linearised(predict, measured, x)

@@ -14,10 +14,10 @@ from perception.geometry.arrays import FloatArray
 
 BLEND = 1.0
 """Time in which a motion is blended in, and out [s]."""
-HALVINGS = 7
-"""Bisections of a motion's size."""
-LARGEST = 1.0
-"""Share of the limits that a motion takes."""
+TRIALS = 10
+"""Most sizes of a motion that are tried."""
+CLOSE = 0.96
+"""Share of the limits at which a motion is large enough."""
 SPREAD = 0.7
 """Spread of the search about the best of some random shapes, over the spread of its numbers."""
 
@@ -76,22 +76,26 @@ class Series:
 
 
 def largest(shape: FloatArray, excess: Callable[[FloatArray], float], begin: float) -> FloatArray:
-    """Return a shape as large as limits allow.
+    """Return a shape about as large as limits allow.
 
     Args:
         shape: (size,) shape.
         excess: How far a shape is off, over the limits; at most 1 keeps to them.
         begin: Factor at which to begin.
     """
-    low, high = 0.0, begin
-    while excess(high * shape) <= LARGEST and high < 1e3 * begin:
-        low, high = high, 2.0 * high
-    for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        if excess(middle * shape) <= LARGEST:
-            low = middle
+    low, high, factor = 0.0, np.inf, begin
+    for _ in range(TRIALS):
+        off = excess(factor * shape)
+        if off <= 1.0:
+            low = factor
+            if off >= CLOSE:
+                break
         else:
-            high = middle
+            high = factor
+        # It grows about in proportion; where it does not, halves are safe.
+        factor *= np.clip(0.5 * (1.0 + CLOSE) / max(off, 1e-9), 0.3, 4.0) if off < np.inf else 0.5
+        if not low < factor < high:
+            factor = 0.5 * (low + high)
     return low * shape
 
 

@@ -45,6 +45,8 @@ def measured(name, change, stamps, values, generator, delay=0.0):
     model = spec.compile()
     data = mujoco.MjData(model)
     step = model.opt.timestep
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
     data.ctrl[:] = values[0]
     mujoco.mj_step(model, data, round(2.0 / step))
     data.time = 0.0

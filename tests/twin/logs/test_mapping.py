@@ -42,6 +42,10 @@ def test_the_example_of_the_docs_is_one(tmp_path):
     )
     assert mapping.sources["tilt"].signs == (-1, 1)
     assert (mapping.time, mapping.time_unit) == ("t", "ms")
+    count = mapping.sources["elbow_encoder"].signal(
+        {"/counts.elbow": Field(np.zeros(1), np.array([16384.0]))}
+    )
+    assert count.values[0, 0] == pytest.approx(2.0 * np.pi, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -56,11 +60,12 @@ def test_the_example_of_the_docs_is_one(tmp_path):
         ("[sensors.a]\nfield = 'x'\nunit = 'degrees'", "unit 'degrees': expected one of"),
         ("[sensors.a]\nfield = 'x'\nunit = ['deg']", "expected one of"),
         ("[sensors.a]\nfield = 'x'\nsign = 2", "sign is 1 or -1"),
+        ("[sensors.a]\nfield = 'x'\nscale = 0", "scale is a number above 0"),
         ("[sensors.a]\nfield = 'x'\nsign = [1, 1]", "a list of 1 of these"),
         ("[sensors.a]\nfield = 'x'\ndelay = '4 m'", "delay 'm': expected one of s, ms"),
         ("[sensors.a]\nfield = 'x'\ndelay = 'long'", "delay 'long': expected seconds"),
         ("[sensors.a]\nfield = 'x'\nframe = 1", "frame is a name"),
-        ("[sensors.a]\nfield = 'x'\nscale = 1", "sensors.a: expected some of delay, field"),
+        ("[sensors.a]\nfield = 'x'\nfactor = 1", "sensors.a: expected some of delay, field"),
         ("time_unit = 'deg'\n[sensors.a]\nfield = 'x'", "time_unit 'deg': expected one of s"),
         ("episode = 'x'\n[sensors.a]\nfield = 'x'", "episode a whole number"),
         ("[sensors.a]\nfield = 'x'\n[actuators.a]\nfield = 'y'", "a is both an actuator"),

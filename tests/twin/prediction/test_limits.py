@@ -20,6 +20,7 @@ def model_of(name):
 def stepped(model, controls):
     """Places, rates, forces and the foot's place at each step, after settling."""
     data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
     data.ctrl[:] = controls[0]
     mujoco.mj_step(model, data, round(2.0 / model.opt.timestep))
     rows = [(data.qpos.copy(), data.qvel.copy(), data.actuator_force.copy())]

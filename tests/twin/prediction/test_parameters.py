@@ -159,3 +159,19 @@ def test_bad_parameter_is_refused_in_one_line(pattern, message):
     with pytest.raises(ModelError, match=message) as caught:
         select(drawn(), [pattern], {})
     assert "\n" not in str(caught.value)
+
+
+def test_inertia_that_the_model_states_stays_as_it_is():
+    """Along axes of its own, as URDF and most published models say it."""
+    text = """<mujoco><worldbody><body name="a"><joint name="hinge" axis="0 1 0"/>
+      <inertial pos="0 0.1 0" quat="0.8 0.6 0 0" mass="2" diaginertia="0.1 0.2 0.15"/>
+    </body></worldbody></mujoco>"""
+    spec = mujoco.MjSpec.from_string(text)
+    inertias = []
+    for model in (spec.compile(), explicit(spec).compile()):
+        turn = np.empty(9)
+        mujoco.mju_quat2Mat(turn, model.body("a").iquat)
+        axes = turn.reshape(3, 3)
+        inertias.append(axes @ np.diag(model.body("a").inertia) @ axes.T)
+    np.testing.assert_allclose(inertias[1], inertias[0], atol=1e-12)
+    assert not np.allclose(inertias[0], np.diag(np.diag(inertias[0])), atol=1e-3)

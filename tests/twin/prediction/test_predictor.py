@@ -47,7 +47,15 @@ def test_predicts_what_plain_steps_measure(name):
     coordinates = [np.log(1.3) / 0.3] * model.njnt + [0.004 / parameters[-1].spread]
     found = predictor(np.array([coordinates, np.zeros(len(coordinates))]))
     off = (found - predictor.measured) / predictor.sigma
-    assert np.abs(off[0]).max() < 0.05
+    # Where dry friction lets a joint come to rest depends on how it came there, until it moves.
+    assert np.abs(off[0]).max() < 1.0
+    late = np.concatenate(
+        [
+            np.arange(place.start, place.stop)[predictor.stamps(*key) > 0.7]
+            for key, place in predictor.channels.items()
+        ]
+    )
+    assert np.abs(off[0, late]).max() < 0.05
     assert np.abs(off[1]).max() > 10.0
     predictor.close()
 
@@ -160,3 +168,32 @@ def test_noise_is_what_the_log_says_else_the_model_else_the_scatter():
 def test_signal_of_nothing_in_the_model_is_refused(name, signal, message):
     with pytest.raises(LogError, match=message):
         ModelPredictor(mujoco.MjSpec.from_string(SLED), [], [Log({name: signal})])
+
+
+HANGING = """<mujoco><option timestep="0.001" integrator="RK4"/><worldbody><body name="platform">
+  <joint name="heave" type="slide" axis="0 0 1" stiffness="400" damping="60"/>
+  <geom size="0.1" mass="3" contype="0" conaffinity="0"/>
+  <body name="bob"><joint name="hinge" axis="0 1 0" damping="0.02"/>
+    <geom size="0.03" pos="0 0 -0.4" mass="1" contype="0" conaffinity="0"/></body>
+</body></worldbody><actuator><motor name="twist" joint="hinge"/></actuator>
+<sensor><jointpos name="encoder" joint="hinge" noise="0.001"/></sensor></mujoco>"""
+"""A pendulum below a platform on a spring, of which nothing is measured."""
+
+
+@pytest.mark.parametrize("name", ["encoder", "hinge.position"])
+def test_measured_joint_is_held_while_all_else_comes_to_rest(name):
+    spec = mujoco.MjSpec.from_string(HANGING)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.qpos[:] = -4.0 * 9.81 / 400.0, 1.2
+    times, rows = np.arange(0.0, 1.0, 0.01), []
+    for _ in times:
+        rows.append([data.qpos[1]])
+        mujoco.mj_step(model, data, 10)
+    signal = Signal("sensor", times, np.array(rows), noise=0.001)
+    twist = Signal("actuator", np.zeros(1), np.zeros((1, 1)))
+    predictor = ModelPredictor(spec, [], [Log({"twist": twist, name: signal})], "held")
+    found = predictor(np.zeros((1, 0)))[0]
+    np.testing.assert_allclose(found, predictor.measured, atol=1e-4)
+    assert np.ptp(found) > 1.0
+    predictor.close()
