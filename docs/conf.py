@@ -41,6 +41,7 @@ CONTENTS = {
         "docs/benchmarks",
         "docs/performance",
         "docs/mission",
+        "docs/own_robot",
         "docs/gallery",
     ],
     "Models": [

@@ -274,6 +274,14 @@ _ALL: tuple[Experiment, ...] = (
         full="4 minutes",
     ),
     Experiment(
+        name="own-robot",
+        summary="foreign robots that nobody is told, identified by motions designed for them",
+        thesis="section 2.6, on any robot",
+        module="experiments.own.own_robot",
+        example="--robots leg cart --count 5 --compared 2 --peer 0",
+        quick="a minute",
+    ),
+    Experiment(
         name="bench",
         summary="speed and accuracy measured against a named peer in the same run",
         thesis="beyond the thesis",

@@ -9,8 +9,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from controllers.identification.any_model.fit import (
+    DIVERGED,
     SUSPECT,
     Fit,
+    FitError,
     Measurements,
     Told,
     fit,
@@ -26,6 +28,8 @@ CONFIRMED = 0.5
 """Largest error on unseen runs above the noise, over that of the model as drawn, that confirms."""
 NOISE = 2.0
 """Chi^2 per sample up to which an error is hardly more than noise."""
+FINE = 5.0
+"""Largest shift by finer time steps, in deviations, of a result that is called good."""
 BEGINNINGS = (0.05, 0.1, 0.2, 0.4, 0.7)
 """Shares of a run that are fitted one after another where the whole cannot be explained."""
 SHORTEST = 0.5
@@ -213,6 +217,7 @@ def identify(
         begin = _from_shorter(spec, parameters, logs, start, watch)
         other = fit(predictor, measured, predictor.lowest, watch, begin)
         found = min(found, other, key=lambda each: each.chi_square)
+    found = _by_finer_steps(found, predictor, spec, parameters, logs, start)
     after = told(found.information, predictor.names, found.coordinates)
     seen = Runs(predictor, *predictor(np.vstack([drawn, found.coordinates])))
     unseen = _unseen(spec, parameters, found.coordinates, held_out, start) if held_out else None
@@ -251,6 +256,30 @@ def _from_shorter(
         predictor.close()
     assert begin is not None
     return begin
+
+
+def _by_finer_steps(
+    found: Fit,
+    predictor: ModelPredictor,
+    spec: mujoco.MjSpec,
+    parameters: Sequence[Parameter],
+    logs: Sequence[Log],
+    start: Start,
+) -> Fit:
+    """Return the fit that time steps of half the length would give, by the same derivatives.
+
+    Of a long log and little noise the steps are what the fit is least sure of.
+    """
+    finer = spec.copy()
+    finer.option.timestep *= 0.5
+    other = ModelPredictor(finer, parameters, logs, start)
+    try:
+        off = other(found.coordinates[None])[0] - predictor(found.coordinates[None])[0]
+    finally:
+        other.close()
+    if not np.isfinite(off).all():
+        raise FitError(DIVERGED)
+    return found.moved(off, measurements(predictor), predictor.lowest)
 
 
 def predicted(spec: mujoco.MjSpec, logs: Sequence[Log], start: Start) -> Runs:
@@ -347,6 +376,11 @@ def _doubts(found: Fit, unseen: Runs | None) -> list[str]:
     if found.chi_square > NOISE:
         doubts.append(
             f"chi^2 per sample is {found.chi_square:.3g}: the model does not explain the logs"
+        )
+    if float(found.shifted.max(initial=0.0)) > FINE:
+        doubts.append(
+            f"time steps of half the length move a parameter by {found.shifted.max():.2g} of its "
+            "deviations; say a shorter --step"
         )
     if unseen is None:
         doubts.append("no run was held out to confirm it")

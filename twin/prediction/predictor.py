@@ -23,6 +23,8 @@ BATCH = 64e6
 SMALL = 1e-6
 """Step of a coordinate that derivatives need, in deviations beforehand: dry friction bends what is
 predicted so sharply that 1e-4 shows information on what no log can tell."""
+ELSEWHERE = 4.0
+"""Distance from the key frame of a joint that is measured elsewhere, in deviations of the noise."""
 START_ANGLE, START_RATE = 0.1, 1.0
 """Spread of each degree of freedom's place about its measured one, and of its rate [SI]."""
 
@@ -321,7 +323,10 @@ def _run(model: mujoco.MjModel, log: Log) -> _Run:
             joint = _joint_of(model, reading)
             if joint is not None:
                 joints[joint] = name
-                start[model.jnt_qposadr[joint]] = values[0, 0]
+                place = int(model.jnt_qposadr[joint])
+                # Where dry friction holds a joint, the first sample's noise would stay.
+                if abs(values[0, 0] - start[place]) > ELSEWHERE * reading.noise[0]:
+                    start[place] = values[0, 0]
     if not readings or not commands:
         raise LogError("no sensor is measured" if commands else "no actuator is commanded")
     ends = [stamps for stamps, _ in commands.values()] + [each.stamps for each in readings]

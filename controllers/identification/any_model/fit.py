@@ -43,6 +43,8 @@ SHRINKAGE = 0.5
 RANGE = 2.0
 """Range on which information is counted in bits, in deviations beforehand to either side."""
 DIVERGED = "the model diverges under the commands of the log; is its step too long?"
+USUAL, SPIKE = 0.98, 30.0
+"""Share of a channel's samples that are usual, and size over theirs of a derivative that is not."""
 NOTED = 0.2
 """Least weight of a parameter that is named in a combination."""
 
@@ -109,6 +111,9 @@ class Fit:
         residuals: (r,) what was measured less what is predicted, over the noise's deviation.
         gain_left: What another step promises to gain of the logarithm of the probability.
         steps: Number of steps.
+        weighted: (r, n) derivatives of the predictions, over the deviation of as much noise as the
+            residuals say.
+        shift: (n,) by which a better prediction moved the point; zero unless `moved`.
     """
 
     coordinates: FloatArray
@@ -116,6 +121,8 @@ class Fit:
     residuals: FloatArray
     gain_left: float
     steps: int
+    weighted: FloatArray
+    shift: FloatArray
 
     @property
     def chi_square(self) -> float:
@@ -129,8 +136,30 @@ class Fit:
 
     @property
     def covariance(self) -> FloatArray:
-        """(n, n) of the coordinates."""
+        """(n, n) of the coordinates; a shift counts as one deviation, as as much may be left."""
+        return self._of_noise + np.outer(self.shift, self.shift)
+
+    @property
+    def shifted(self) -> FloatArray:
+        """(n,) size of the shift, over the deviation that is due to noise."""
+        return np.abs(self.shift) / np.sqrt(np.diag(self._of_noise))
+
+    @property
+    def _of_noise(self) -> FloatArray:
         return np.linalg.inv(self.information + np.eye(len(self.information))).astype(np.float64)
+
+    def moved(self, off: FloatArray, measured: Measurements, lowest: FloatArray) -> "Fit":
+        """Return the fit to a better prediction, by the same derivatives.
+
+        Args:
+            off: (r,) the better prediction less that of the fit, where it ended.
+            measured: What was measured.
+            lowest: (n,) least values of the coordinates.
+        """
+        scaled = off / measured.sigma / np.sqrt(measured.heat(self.residuals))
+        shift = -self._of_noise @ (self.weighted.T @ scaled)
+        moved = np.maximum(self.coordinates + shift, lowest)
+        return dataclasses.replace(self, coordinates=moved, shift=moved - self.coordinates)
 
 
 def fit(
@@ -165,7 +194,8 @@ def fit(
         free = (x > lowest) | (gradient < 0.0)
         posterior = information + np.eye(len(x))
         gain = -0.5 * float(gradient @ _solve(posterior, gradient, free))
-        done = Fit(x, information, residuals, gain, step)
+        weighted = rows / np.sqrt(heat)[:, None]
+        done = Fit(x, information, residuals, gain, step, weighted, np.zeros(len(x)))
         if step == MOST_STEPS:
             return done
         stalled = done.converged or gain < SMALL_GAIN * _cost(residuals, heat, x)
@@ -285,7 +315,25 @@ def _linearised(
     rows[coarse] = (found[1 : len(above)][coarse] - found[len(above) :]) / (
         2.0 * steps[coarse, None]
     )
+    spiked = [index for index in np.flatnonzero(~coarse) if _has_spike(rows[index], measured)]
+    if spiked:
+        other = (found[0] - predict(x - np.diag(steps)[spiked])) / steps[spiked, None]
+        rows[spiked] = np.where(np.abs(other) < np.abs(rows[spiked]), other, rows[spiked])
     return (measured.values - found[0]) / measured.sigma, (rows / measured.sigma).T
+
+
+def _has_spike(row: FloatArray, measured: Measurements) -> bool:
+    """Return whether derivatives (r,) of a channel are much larger at few samples than at others.
+
+    Where a robot sticks or slips, what an accelerometer reads jumps, and a sample may lie just
+    there: the derivative is that of the side without the jump.
+    """
+    for place in measured.channels:
+        sizes = np.sort(np.abs(row[place]))
+        usual = sizes[: max(1, int(USUAL * len(sizes)))]
+        if sizes[-1] > SPIKE * float(np.sqrt(np.mean(usual**2))):
+            return True
+    return False
 
 
 def _solve(matrix: FloatArray, gradient: FloatArray, free: BoolArray) -> FloatArray:

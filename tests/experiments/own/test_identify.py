@@ -110,7 +110,7 @@ def test_nothing_is_good_without_a_run_held_out(tmp_path, capsys):
 
 
 def test_the_same_run_in_another_format_gives_the_same(tmp_path, capsys):
-    write_runs(tmp_path, "cart", 2.0, change, "a")
+    write_runs(tmp_path, "cart", 2.0, lambda spec: None, "a")
     table, mapping = f"{tmp_path}/a.csv", f"{tmp_path}/robot.toml"
     assert main(["log", table, "--mapping", mapping, "--write", f"{tmp_path}/a.mcap"]) == 0
     found = []

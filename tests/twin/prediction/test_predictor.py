@@ -117,7 +117,7 @@ def test_run_that_begins_moving_takes_place_and_rate_from_its_coordinates():
     log = Log(
         {
             "push": Signal("actuator", np.zeros(1), np.zeros((1, 1))),
-            "slide.position": Signal("sensor", times, np.full((50, 1), 0.2), noise=0.1),
+            "slide.position": Signal("sensor", times, np.full((50, 1), 0.2), noise=0.01),
         }
     )
     predictor = ModelPredictor(mujoco.MjSpec.from_string(SLED), [], [log], "moving")

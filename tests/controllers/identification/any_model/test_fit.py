@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from controllers.identification.any_model.fit import FitError, Measurements, fit, told
+from controllers.identification.any_model.fit import (
+    FitError,
+    Measurements,
+    fit,
+    information_of,
+    told,
+)
 
 OPEN = np.full(3, -np.inf)
 
@@ -84,3 +90,19 @@ def test_local_optimum_is_left_by_a_jump():
 def test_model_that_diverges_is_told(lowest):
     with pytest.raises(FitError, match="diverges"):
         fit(lambda x: np.full((len(x), 5), np.nan), measured(np.zeros(5), np.ones(5)), lowest)
+
+
+@pytest.mark.parametrize("side", [1e-9, -1e-9])
+def test_jump_of_one_sample_is_no_information(side):
+    """As of an accelerometer that is sampled just where its robot begins to slip."""
+    times = np.linspace(0.0, 1.0, 50)
+
+    def predict(x):
+        found = x[:, :1] * np.sin(9.0 * times)
+        found[:, 20] += 0.5 * (x[:, 0] > side)
+        return found
+
+    values = measured(np.zeros(50), np.full(50, 0.1), 1)
+    information = information_of(predict, values, np.zeros(1))
+    expected = 100.0 * np.sum(np.sin(9.0 * times) ** 2)
+    assert information[0, 0] == pytest.approx(expected, rel=1e-3)
