@@ -92,9 +92,9 @@ class ModelPredictor:
         parameters: Parameters of the model.
         logs: Runs of the robot; NaN among their samples are left out.
         start: ``rest``: each run begins where the model comes to rest under its first commands,
-            from where joints were measured, else from the first key frame; ``held``: joints that
-            were measured are held there until the first command, and all else has come to rest;
-            ``moving``: places and rates at the beginning are sought as well, two
+            from the first key frame, or where joints were measured beyond noise of it; ``held``:
+            joints that were measured are held so until the first command, and all else has come to
+            rest; ``moving``: places and rates at the beginning are sought as well, two
             coordinates for each degree of freedom and run, after those of the parameters.
 
     Attributes:

@@ -106,3 +106,21 @@ def test_jump_of_one_sample_is_no_information(side):
     information = information_of(predict, values, np.zeros(1))
     expected = 100.0 * np.sum(np.sin(9.0 * times) ** 2)
     assert information[0, 0] == pytest.approx(expected, rel=1e-3)
+
+
+def test_fit_is_moved_to_what_a_better_prediction_gives_and_counts_the_way():
+    """A linear model and its offset: a fit of the offset model itself ends at the same point."""
+    generator = np.random.default_rng(6)
+    matrix, sigma = generator.normal(size=(60, 3)), np.full(60, 5.0)
+    values = matrix @ [0.3, 0.1, -0.2] + 0.1 * generator.standard_normal(60)
+    offset = generator.normal(size=60)
+    data = measured(values, sigma)
+    found, better = (fit(linear(matrix, each), data, OPEN) for each in (0.0, offset))
+    moved = found.moved(offset, data, OPEN)
+    np.testing.assert_allclose(moved.coordinates, better.coordinates, atol=1e-3)
+    shift = moved.coordinates - found.coordinates
+    assert np.abs(shift).max() > 0.02
+    np.testing.assert_allclose(moved.covariance, found.covariance + np.outer(shift, shift))
+    np.testing.assert_allclose(
+        moved.shifted, np.abs(shift) / np.sqrt(np.diag(found.covariance)), rtol=1e-9
+    )
