@@ -164,7 +164,7 @@ def test_something_wrong_with_a_log_is_named_and_stops(tmp_path, capsys):
 def test_scale_of_all_forces_is_told_by_no_motion(tmp_path):
     """Masses, springs, dampers, friction and the motor times 2 move as before, so one of eleven
     directions stays as unknown as it was: each deviation left is 1 / sqrt(11)."""
-    write_runs(tmp_path, "cart", 4.0, lambda spec: None, "a")
+    write_runs(tmp_path, "cart", 16.0, lambda spec: None, "a")
     log = read_log(tmp_path / "a.csv", read_mapping(tmp_path / "robot.toml"))
     spec = explicit(mujoco.MjSpec.from_file(hidden.robot("cart")))
     patterns = ["joint.*.damping", "joint.*.stiffness", "joint.rail.friction", "body.*.mass"]
