@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 
 import mujoco
@@ -212,7 +213,7 @@ def identify(
     drawn = np.zeros(len(predictor.names))
     before = told(information_of(predictor, measured, drawn), predictor.names, drawn)
     check(before)
-    found = fit(predictor, measured, predictor.lowest, watch=watch)
+    found = fit(predictor, measured, predictor.lowest, watch, hopeful=False)
     if found.chi_square > SUSPECT:
         begin = _from_shorter(spec, parameters, logs, start, watch)
         other = fit(predictor, measured, predictor.lowest, watch, begin)
@@ -251,9 +252,9 @@ def _from_shorter(
         for log in logs:
             first, last = log.span
             parts.append(log.until(first + max(share * (last - first), SHORTEST)))
-        predictor = ModelPredictor(spec, parameters, parts, start)
-        begin = fit(predictor, measurements(predictor), predictor.lowest, watch, begin).coordinates
-        predictor.close()
+        with closing(ModelPredictor(spec, parameters, parts, start)) as predictor:
+            measured = measurements(predictor)
+            begin = fit(predictor, measured, predictor.lowest, watch, begin).coordinates
     assert begin is not None
     return begin
 
@@ -272,11 +273,8 @@ def _by_finer_steps(
     """
     finer = spec.copy()
     finer.option.timestep *= 0.5
-    other = ModelPredictor(finer, parameters, logs, start)
-    try:
+    with closing(ModelPredictor(finer, parameters, logs, start)) as other:
         off = other(found.coordinates[None])[0] - predictor(found.coordinates[None])[0]
-    finally:
-        other.close()
     if not np.isfinite(off).all():
         raise FitError(DIVERGED)
     return found.moved(off, measurements(predictor), predictor.lowest)

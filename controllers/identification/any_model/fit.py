@@ -20,6 +20,8 @@ COARSE = 1e-3
 """Step of a coordinate from which on derivatives need steps to both sides."""
 MOST_STEPS = 30
 """Most steps of a fit."""
+PATIENCE, HOPE = 8, 0.1
+"""Steps in which a fit that may be given up has to lower chi^2 to this share."""
 SMALLEST_GAIN = 0.01
 """Gain of the logarithm of the probability at which a fit has converged."""
 LONGEST = 1.0
@@ -110,6 +112,7 @@ class Fit:
         information: (n, n) of the measurements alone, each channel as noisy as its residuals say.
         residuals: (r,) what was measured less what is predicted, over the noise's deviation.
         gain_left: What another step promises to gain of the logarithm of the probability.
+        gained: What the better of the last two steps gained; infinity before these.
         steps: Number of steps.
         weighted: (r, n) derivatives of the predictions, over the deviation of as much noise as the
             residuals say.
@@ -120,6 +123,7 @@ class Fit:
     information: FloatArray
     residuals: FloatArray
     gain_left: float
+    gained: float
     steps: int
     weighted: FloatArray
     shift: FloatArray
@@ -131,8 +135,12 @@ class Fit:
 
     @property
     def converged(self) -> bool:
-        """True when another step would gain next to nothing."""
-        return self.gain_left <= SMALLEST_GAIN
+        """True when another step would gain next to nothing, or the last two did.
+
+        Where dry friction holds a joint the likeliest point may lie in a sharp bend of the
+        prediction: what derivatives promise there no step gains.
+        """
+        return min(self.gain_left, self.gained) <= SMALLEST_GAIN
 
     @property
     def covariance(self) -> FloatArray:
@@ -168,6 +176,7 @@ def fit(
     lowest: FloatArray,
     watch: Callable[[int, float], None] = lambda step, chi_square: None,
     begin: FloatArray | None = None,
+    hopeful: bool = True,
 ) -> Fit:
     """Fit coordinates to measurements.
 
@@ -177,6 +186,7 @@ def fit(
         lowest: (n,) least values of the coordinates; minus infinity where there is none.
         watch: Called with the number of each step and the chi^2 per sample before it.
         begin: (n,) coordinates to begin with; None for zero.
+        hopeful: Whether it goes on where the first `PATIENCE` steps have hardly led anywhere.
 
     Raises:
         FitError: If the model diverges where it begins.
@@ -184,9 +194,13 @@ def fit(
     x = np.maximum(np.zeros(len(lowest)) if begin is None else begin, lowest)
     x = _scanned(predict, measured, x, lowest)
     damping, step, left = DAMPING, 0, MOST_JUMPS
+    last = previous = enough = np.inf
     while True:
         residuals, rows = _linearised(predict, measured, x)
-        watch(step, float(np.mean(residuals**2)))
+        chi_square = float(np.mean(residuals**2))
+        watch(step, chi_square)
+        if step == 0 and not hopeful:
+            enough = max(HOPE * chi_square, SUSPECT)
         # A channel far off counts for less, or what the measurements hardly tell would run away.
         heat = measured.heat(residuals)
         information = rows.T @ (rows / heat[:, None])
@@ -195,8 +209,9 @@ def fit(
         posterior = information + np.eye(len(x))
         gain = -0.5 * float(gradient @ _solve(posterior, gradient, free))
         weighted = rows / np.sqrt(heat)[:, None]
-        done = Fit(x, information, residuals, gain, step, weighted, np.zeros(len(x)))
-        if step == MOST_STEPS:
+        gained = max(last, previous)
+        done = Fit(x, information, residuals, gain, gained, step, weighted, np.zeros(len(x)))
+        if step == MOST_STEPS or (step == PATIENCE and chi_square > enough):
             return done
         stalled = done.converged or gain < SMALL_GAIN * _cost(residuals, heat, x)
         better = None
@@ -206,7 +221,8 @@ def fit(
             better, damping = _descent(predict, measured, done, lowest, gradient, free, damping)
         if better is None:
             return done
-        x, step = better, step + 1
+        (x, now), previous, step = better, last, step + 1
+        last = _cost(residuals, heat, done.coordinates) - now
 
 
 def _scanned(
@@ -237,8 +253,8 @@ def _descent(
     gradient: FloatArray,
     free: BoolArray,
     damping: float,
-) -> tuple[FloatArray | None, float]:
-    """Return a point that is likelier, or none, and the damping to go on with."""
+) -> tuple[tuple[FloatArray, float] | None, float]:
+    """Return a likelier point with its cost, or none, and the damping to go on with."""
     posterior = now.information + np.eye(len(gradient))
     heat = measured.heat(now.residuals)
     cost = _cost(now.residuals, heat, now.coordinates)
@@ -247,16 +263,17 @@ def _descent(
         move *= min(1.0, LONGEST / np.abs(move).max())
         trial = np.maximum(now.coordinates + move, lowest)
         off = (measured.values - predict(trial[None])[0]) / measured.sigma
-        if _cost(off, heat, trial) < cost:  # never of NaN
-            return trial, damping / 10.0
+        found = _cost(off, heat, trial)
+        if found < cost:  # never of NaN
+            return (trial, found), damping / 10.0
         damping *= 10.0
     return None, DAMPING
 
 
 def _jump(
     predict: Predict, measured: Measurements, now: Fit, lowest: FloatArray
-) -> FloatArray | None:
-    """Return a likelier point at which one coordinate is elsewhere, or none."""
+) -> tuple[FloatArray, float] | None:
+    """Return a likelier point at which one coordinate is elsewhere with its cost, or none."""
     count = len(lowest)
     moves = [jump * row for row in np.eye(count) for jump in JUMPS]
     trials = np.maximum(now.coordinates + np.array(moves), lowest)
@@ -264,7 +281,8 @@ def _jump(
     heat = measured.heat(now.residuals)
     costs = [_cost(each, heat, trial) for each, trial in zip(off, trials, strict=True)]
     best = int(np.argmin(np.nan_to_num(costs, nan=np.inf)))
-    return trials[best] if costs[best] < _cost(now.residuals, heat, now.coordinates) else None
+    likelier = costs[best] < _cost(now.residuals, heat, now.coordinates)
+    return (trials[best], costs[best]) if likelier else None
 
 
 def _cost(residuals: FloatArray, heat: FloatArray, x: FloatArray) -> float:
