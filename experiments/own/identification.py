@@ -18,6 +18,7 @@ from controllers.identification.any_model.fit import (
     Told,
     fit,
     information_of,
+    ljung_box,
     told,
 )
 from perception.geometry.arrays import FloatArray
@@ -35,8 +36,6 @@ BEGINNINGS = (0.05, 0.1, 0.2, 0.4, 0.7)
 """Shares of a run that are fitted one after another where the whole cannot be explained."""
 SHORTEST = 0.5
 """Shortest beginning of a run that is fitted [s]."""
-LAGS = 20
-"""Lags by which residuals are compared with themselves."""
 SIGMAS = float(np.sqrt(chi2.ppf(0.95, 1)))
 """Half of a 95 % band, in deviations."""
 
@@ -288,19 +287,6 @@ def predicted(spec: mujoco.MjSpec, logs: Sequence[Log], start: Start) -> Runs:
         FitError: If the model diverges.
     """
     return _unseen(spec, [], np.zeros(0), logs, start)
-
-
-def ljung_box(residuals: FloatArray) -> float:
-    """Return the probability that white noise is as alike to itself at `LAGS` lags or fewer."""
-    count = len(residuals)
-    lags = min(LAGS, count // 4)
-    off = residuals - residuals.mean()
-    power = float(off @ off)
-    if not lags or not power:
-        return 1.0
-    alike = np.array([off[lag:] @ off[:-lag] / power for lag in range(1, lags + 1)])
-    statistic = count * (count + 2.0) * np.sum(alike**2 / (count - np.arange(1, lags + 1)))
-    return float(chi2.sf(statistic, lags))
 
 
 def _sensors(logs: Sequence[Log]) -> Mapping[str, int]:

@@ -9,6 +9,7 @@ import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from scipy.stats import chi2
 
 from controllers.identification.information import mutual_information
 from perception.geometry.arrays import BoolArray, FloatArray
@@ -47,6 +48,10 @@ RANGE = 2.0
 DIVERGED = "the model diverges under the commands of the log; is its step too long?"
 USUAL, SPIKE = 0.98, 30.0
 """Share of a channel's samples that are usual, and size over theirs of a derivative that is not."""
+LAGS = 20
+"""Lags by which residuals are compared with themselves."""
+WHITE = 0.01
+"""Probability below which residuals are not white."""
 NOTED = 0.2
 """Least weight of a parameter that is named in a combination."""
 
@@ -85,6 +90,22 @@ class Measurements:
             heat[channel] = max(1.0, float(np.mean(residuals[channel] ** 2)))
         return heat
 
+    def repeats(self, residuals: FloatArray) -> FloatArray:
+        """Return how many samples tell as much as one would whose noise were white.
+
+        Args:
+            residuals: (r,) what is left.
+
+        Returns:
+            (r,) factors, each 1 or more: of a channel that is not white, the integral of its
+            autocorrelation, up to where that of two neighbours is no longer above zero.
+        """
+        factor = np.ones(len(residuals))
+        for channel in self.channels:
+            if ljung_box(residuals[channel]) < WHITE:
+                factor[channel] = _correlation_time(residuals[channel])
+        return factor
+
 
 @dataclasses.dataclass(frozen=True)
 class Told:
@@ -112,10 +133,10 @@ class Fit:
         information: (n, n) of the measurements alone, each channel as noisy as its residuals say.
         residuals: (r,) what was measured less what is predicted, over the noise's deviation.
         gain_left: What another step promises to gain of the logarithm of the probability.
-        gained: What the better of the last two steps gained; infinity before these.
+        gained: What the better of the last two steps gained; infinity before these, zero where none gains.
         steps: Number of steps.
-        weighted: (r, n) derivatives of the predictions, over the deviation of as much noise as the
-            residuals say.
+        spread: (r,) deviation of as much noise as the residuals say, over that of `Measurements`.
+        weighted: (r, n) derivatives of the predictions, over that deviation.
         shift: (n,) by which a better prediction moved the point; zero unless `moved`.
     """
 
@@ -125,6 +146,7 @@ class Fit:
     gain_left: float
     gained: float
     steps: int
+    spread: FloatArray
     weighted: FloatArray
     shift: FloatArray
 
@@ -156,6 +178,15 @@ class Fit:
     def _of_noise(self) -> FloatArray:
         return np.linalg.inv(self.information + np.eye(len(self.information))).astype(np.float64)
 
+    def coloured(self, measured: Measurements) -> "Fit":
+        """Return the fit with as much less information as residuals repeat themselves."""
+        factor = measured.repeats(self.residuals)
+        weighted = self.weighted / np.sqrt(factor)[:, None]
+        spread = self.spread * np.sqrt(factor)
+        return dataclasses.replace(
+            self, information=weighted.T @ weighted, spread=spread, weighted=weighted
+        )
+
     def moved(self, off: FloatArray, measured: Measurements, lowest: FloatArray) -> "Fit":
         """Return the fit to a better prediction, by the same derivatives.
 
@@ -164,7 +195,7 @@ class Fit:
             measured: What was measured.
             lowest: (n,) least values of the coordinates.
         """
-        scaled = off / measured.sigma / np.sqrt(measured.heat(self.residuals))
+        scaled = off / measured.sigma / self.spread
         shift = -self._of_noise @ (self.weighted.T @ scaled)
         moved = np.maximum(self.coordinates + shift, lowest)
         return dataclasses.replace(self, coordinates=moved, shift=moved - self.coordinates)
@@ -208,11 +239,13 @@ def fit(
         free = (x > lowest) | (gradient < 0.0)
         posterior = information + np.eye(len(x))
         gain = -0.5 * float(gradient @ _solve(posterior, gradient, free))
-        weighted = rows / np.sqrt(heat)[:, None]
         gained = max(last, previous)
-        done = Fit(x, information, residuals, gain, gained, step, weighted, np.zeros(len(x)))
+        spread = np.sqrt(heat)
+        weighted = rows / spread[:, None]
+        shift = np.zeros(len(x))
+        done = Fit(x, information, residuals, gain, gained, step, spread, weighted, shift)
         if step == MOST_STEPS or (step == PATIENCE and chi_square > enough):
-            return done
+            return done.coloured(measured)
         stalled = done.converged or gain < SMALL_GAIN * _cost(residuals, heat, x)
         better = None
         if stalled and left and done.chi_square > SUSPECT:
@@ -220,7 +253,7 @@ def fit(
         if better is None and not done.converged:
             better, damping = _descent(predict, measured, done, lowest, gradient, free, damping)
         if better is None:
-            return done
+            return dataclasses.replace(done, gained=0.0).coloured(measured)
         (x, now), previous, step = better, last, step + 1
         last = _cost(residuals, heat, done.coordinates) - now
 
@@ -287,6 +320,32 @@ def _jump(
 
 def _cost(residuals: FloatArray, heat: FloatArray, x: FloatArray) -> float:
     return float(0.5 * (residuals @ (residuals / heat) + x @ x))
+
+
+def ljung_box(residuals: FloatArray) -> float:
+    """Return the probability that white noise is as alike to itself at `LAGS` lags or fewer."""
+    count = len(residuals)
+    lags = min(LAGS, count // 4)
+    power = float(np.sum((residuals - residuals.mean()) ** 2))
+    if not lags or not power:
+        return 1.0
+    alike = _autocorrelation(residuals, lags)
+    statistic = count * (count + 2.0) * np.sum(alike**2 / (count - np.arange(1, lags + 1)))
+    return float(chi2.sf(statistic, lags))
+
+
+def _correlation_time(residuals: FloatArray) -> float:
+    """Return the integral of an autocorrelation, in samples, by Geyer's initial positive sums."""
+    alike = np.concatenate([[1.0], _autocorrelation(residuals, len(residuals) // 2)])
+    pairs = alike[: len(alike) // 2 * 2].reshape(-1, 2).sum(axis=1)
+    last = int(np.argmax(pairs <= 0.0)) if np.any(pairs <= 0.0) else len(pairs)
+    return max(1.0, float(2.0 * pairs[:last].sum() - 1.0))
+
+
+def _autocorrelation(residuals: FloatArray, lags: int) -> FloatArray:
+    """Return the autocorrelation (lags,) at one lag or more."""
+    off = residuals - residuals.mean()
+    return np.array([off[lag:] @ off[:-lag] for lag in range(1, lags + 1)]) / (off @ off)
 
 
 def information_of(predict: Predict, measured: Measurements, x: FloatArray) -> FloatArray:

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
+from scipy.signal import lfilter
 
 from controllers.identification.any_model.fit import (
+    MOST_STEPS,
+    PATIENCE,
     FitError,
     Measurements,
     fit,
@@ -124,3 +127,34 @@ def test_fit_is_moved_to_what_a_better_prediction_gives_and_counts_the_way():
     np.testing.assert_allclose(
         moved.shifted, np.abs(shift) / np.sqrt(np.diag(found.covariance)), rtol=1e-9
     )
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
+def test_noise_that_repeats_itself_tells_as_much_less(memory):
+    """The variance of a mean of noise with a memory is larger by (1 + memory) / (1 - memory)."""
+    generator = np.random.default_rng(5)
+    count, deviations = 2000, []
+    for _ in range(20):
+        noise = lfilter([np.sqrt(1.0 - memory**2)], [1.0, -memory], generator.normal(size=count))
+        samples = measured(noise, 1.0, count=1)
+        found = fit(linear(np.ones((count, 1))), samples, np.full(1, -np.inf))
+        deviations.append(np.sqrt(found.covariance[0, 0]))
+    exact = np.sqrt((1.0 + memory) / (1.0 - memory) / count)
+    assert np.median(deviations) == pytest.approx(exact, rel=0.15)
+
+
+def test_likeliest_point_in_a_bend_is_found_and_ends_the_fit():
+    samples = measured(np.zeros(30), np.full(30, 0.1), count=1)
+    found = fit(
+        lambda x: np.repeat(1.0 + np.abs(x[:, :1] - 0.3), 30, axis=1), samples, np.full(1, -np.inf)
+    )
+    assert found.coordinates[0] == pytest.approx(0.3, abs=1e-2)
+    assert found.gain_left > 1.0 and found.converged and found.steps < MOST_STEPS
+
+
+@pytest.mark.parametrize(("hopeful", "most"), [(True, MOST_STEPS), (False, PATIENCE)])
+def test_fit_that_leads_nowhere_is_given_up(hopeful, most, monkeypatch):
+    monkeypatch.setattr("controllers.identification.any_model.fit.LONGEST", 0.01)
+    samples = measured(np.full(30, 100.0), np.ones(30), count=1)
+    found = fit(linear(np.full((30, 1), 100.0)), samples, np.full(1, -np.inf), hopeful=hopeful)
+    assert found.steps == most and not found.converged
