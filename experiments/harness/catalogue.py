@@ -277,7 +277,7 @@ _ALL: tuple[Experiment, ...] = (
         name="own-robot",
         summary="foreign robots that nobody is told, identified by motions designed for them",
         thesis="section 2.6, on any robot",
-        module="experiments.own.own_robot",
+        module="experiments.own.hidden.own_robot",
         example="--robots leg cart --count 5 --compared 2 --peer 0",
         quick="a minute",
     ),
@@ -342,6 +342,12 @@ COMMANDS: dict[str, Command] = {
             "the motion that tells most of a MuJoCo model's parameters, within limits",
             "experiments.own.excite",
             example="--model robot.xml --parameters joint.* --limits limits.toml --out motion.csv",
+        ),
+        Command(
+            "play",
+            "a rover of ours follows a motion with its arm, and all that it measures is logged",
+            "experiments.own.play",
+            example="--motion motion.csv --robot emulated --log run.mcap",
         ),
         Command(
             "replay",

@@ -144,6 +144,26 @@ def some_of(names: Iterable[str]) -> Any:
     return tyro.conf.arg(metavar=f"{{{','.join(names)}}} ...")
 
 
+def check_new(name: str, path: Path, suffix: str) -> None:
+    """Refuse a file to write that has another suffix, is there already, or has no folder.
+
+    Args:
+        name: Name of the option, without dashes.
+        path: Its value.
+        suffix: How the name has to end.
+
+    Raises:
+        OptionError: Naming the option.
+    """
+    option = f"--{name} {path}"
+    if path.suffix != suffix:
+        raise OptionError(f"{option}: expected a name that ends with {suffix}")
+    if path.exists():
+        raise OptionError(f"{option}: is there already; name another file")
+    if not path.parent.is_dir():
+        raise OptionError(f"{option}: there is no folder {path.parent}")
+
+
 def check_count(name: str, value: int | None) -> None:
     """Refuse a number of things that is below 1.
 

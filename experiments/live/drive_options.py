@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from experiments.harness.contract import OptionError
+from experiments.harness.contract import OptionError, check_new
 from experiments.harness.robot_option import check_robot
 from twin.hardware.wiring import wirings_of
 from twin.optics.realism import RealismName
@@ -57,14 +57,4 @@ class Options:
             raise OptionError(f"--port: expected 0 to 65535, got {self.port}")
         for name, path, suffix in (("record", self.record, ".rrd"), ("log", self.log, ".mcap")):
             if path is not None:
-                _check_new(f"--{name} {path}", path, suffix)
-
-
-def _check_new(option: str, path: Path, suffix: str) -> None:
-    """Refuse a file that has another suffix, is there already, or has no folder."""
-    if path.suffix != suffix:
-        raise OptionError(f"{option}: expected a name that ends with {suffix}")
-    if path.exists():
-        raise OptionError(f"{option}: is there already; name another file")
-    if not path.parent.is_dir():
-        raise OptionError(f"{option}: there is no folder {path.parent}")
+                check_new(name, path, suffix)

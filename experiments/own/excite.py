@@ -1,8 +1,6 @@
 """``excite``: the motion that tells most of a model's parameters."""
 
-import csv
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -14,9 +12,9 @@ from experiments.harness.contract import ExperimentError
 from experiments.own.excite_options import Options
 from experiments.own.identification import load_model, measurements
 from experiments.own.identify import print_told
+from experiments.own.motion_file import write_motion
 from perception.geometry.arrays import FloatArray
 from twin.logs.log import Log, LogError, Signal
-from twin.logs.writing import write_mcap
 from twin.prediction.limits import Limits, read_limits
 from twin.prediction.parameters import ModelError, Parameter, explicit, select
 from twin.prediction.predictor import ModelPredictor
@@ -65,7 +63,9 @@ def run(options: Options) -> int:
         if each.name not in will_tell.unknown
     )
     print(f"tells (one deviation): {sizes}")
-    print(f"next: let the robot follow {options.out}, log it, and identify")
+    print(
+        f"next: let the robot follow {options.out} (a rover of ours by play), log it, and identify"
+    )
     return 0
 
 
@@ -155,27 +155,3 @@ def foretold(
     """Return what a log of a motion will tell."""
     information = information_in(spec, parameters, series, shape, options)
     return told(information, [each.name for each in parameters], np.zeros(len(parameters)))
-
-
-def write_motion(
-    path: Path, names: Sequence[str], stamps: FloatArray, commands: FloatArray
-) -> None:
-    """Write a motion, as a table or as a log of its actuators.
-
-    Raises:
-        ExperimentError: If it cannot be written.
-    """
-    try:
-        if path.suffix == ".csv":
-            with path.open("w", newline="") as stream:
-                writer = csv.writer(stream)
-                writer.writerow(["t", *names])
-                writer.writerows(np.column_stack([stamps, commands]).tolist())
-            return
-        signals = {
-            name: Signal("actuator", stamps, commands[:, [index]])
-            for index, name in enumerate(names)
-        }
-        write_mcap(Log(signals), path)
-    except OSError as error:
-        raise ExperimentError(f"{path}: {error.strerror}") from None

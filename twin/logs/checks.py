@@ -21,10 +21,14 @@ def problems(log: Log) -> list[str]:
     """Return what is wrong with the signals, a line each; it begins with the signal's name.
 
     Found are too few samples, numbers that are none, stamps that go back or occur twice, missing
-    samples, uneven sampling, values that never change, and values that a robot hardly has in the
-    unit that they are said to be in.
+    samples, uneven sampling, sensors that never change (or all actuators), and values that a robot
+    hardly has in the unit that they are said to be in.
     """
-    return [f"{name}: {text}" for name, each in log.signals.items() for text in _problems(each)]
+    found = [f"{name}: {text}" for name, each in log.signals.items() for text in _problems(each)]
+    commands = {name: each for name, each in log.signals.items() if each.role == "actuator"}
+    if commands and all(_is_still(each.values) for each in commands.values()):
+        found.append(f"{', '.join(commands)}: no command ever changes")
+    return found
 
 
 def _problems(signal: Signal) -> Iterator[str]:
@@ -42,9 +46,14 @@ def _problems(signal: Signal) -> Iterator[str]:
     good = values[~bad]
     if not len(good):
         return
-    if np.ptp(good, axis=0).max() == 0.0:
+    if signal.role == "sensor" and _is_still(good):
         yield "never changes"
     yield from _unit_problems(signal.unit, good)
+
+
+def _is_still(values: FloatArray) -> bool:
+    """Return whether no number changes; one that is none makes no change."""
+    return bool(np.all((values == values[:1]) | np.isnan(values)))
 
 
 def _clock_problems(stamps: FloatArray) -> Iterator[str]:

@@ -5,6 +5,7 @@
 # pyright: reportUnknownArgumentType=false, reportUnknownParameterType=false
 # pyright: reportMissingTypeStubs=false
 
+import dataclasses
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,20 +23,18 @@ _INDICES = ("frame_index", "episode_index", "index", "task_index")
 _TASK = "run"
 
 
-def write_lerobot(log: Log, folder: Path, rate: int) -> None:
-    """Write a log as a dataset: ``action`` of all actuators, ``observation.state`` of all sensors.
+def at_one_rate(log: Log, rate: int) -> Log:
+    """Return a log of frames at one rate, which last for as long as all signals do.
 
     A command is the last one before a frame, a sensor's sample lies on the line between its
-    neighbours. Frames last for as long as all signals do.
+    neighbours.
 
     Args:
         log: The log.
-        folder: Folder to write; it must be new.
         rate: Frames a second.
 
     Raises:
-        LogError: If no time has all signals, or they lack actuators or sensors.
-        OSError: If it cannot be written.
+        LogError: If no time has all signals.
     """
     first = max(float(each.stamps[0]) for each in log.signals.values())
     last = min(float(each.stamps[-1]) for each in log.signals.values())
@@ -43,13 +42,35 @@ def write_lerobot(log: Log, folder: Path, rate: int) -> None:
     if count < 2:  # noqa: PLR2004
         raise LogError(f"signals overlap for {last - first:.3g} s only, too little for {rate} Hz")
     times = first + np.arange(count) / rate
+    return Log(
+        {
+            name: dataclasses.replace(each, stamps=times, values=_sampled(each, times))
+            for name, each in log.signals.items()
+        }
+    )
+
+
+def write_lerobot(log: Log, folder: Path, rate: int) -> None:
+    """Write a log as a dataset: ``action`` of all actuators, ``observation.state`` of all sensors.
+
+    Args:
+        log: The log, of which `at_one_rate` makes frames.
+        folder: Folder to write; it must be new.
+        rate: Frames a second.
+
+    Raises:
+        LogError: If no time has all signals, or they lack actuators or sensors.
+        OSError: If it cannot be written.
+    """
+    frames = at_one_rate(log, rate).signals
+    count = len(next(iter(frames.values())).stamps)
     columns: dict[str, FloatArray] = {}
     names: dict[str, list[str]] = {}
     for role, feature in _FEATURES.items():
-        chosen = {name: each for name, each in log.signals.items() if each.role == role}
+        chosen = {name: each for name, each in frames.items() if each.role == role}
         if not chosen:
             raise LogError(f"no {role}, of which {feature} is made")
-        columns[feature] = np.hstack([_sampled(each, times) for each in chosen.values()])
+        columns[feature] = np.hstack([each.values for each in chosen.values()])
         names[feature] = [label for name, each in chosen.items() for label in _labels(name, each)]
     folder.mkdir()
     _write_table(folder, _frames(columns, rate), "data")

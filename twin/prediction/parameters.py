@@ -65,6 +65,12 @@ class Parameter:
             return self.nominal * float(np.exp(self.spread * coordinate))
         return self.nominal + self.spread * coordinate
 
+    def coordinate(self, value: float) -> float:
+        """Return the coordinate at which it has a value."""
+        if self.scale == "factor":
+            return float(np.log(value / self.nominal)) / self.spread
+        return (value - self.nominal) / self.spread
+
     @property
     def lowest(self) -> float:
         """Least coordinate that it may have."""

@@ -133,7 +133,8 @@ class Fit:
         information: (n, n) of the measurements alone, each channel as noisy as its residuals say.
         residuals: (r,) what was measured less what is predicted, over the noise's deviation.
         gain_left: What another step promises to gain of the logarithm of the probability.
-        gained: What the better of the last two steps gained; infinity before these, zero where none gains.
+        gained: What the better of the last two steps gained; infinity before these, zero where no
+            step gains.
         steps: Number of steps.
         spread: (r,) deviation of as much noise as the residuals say, over that of `Measurements`.
         weighted: (r, n) derivatives of the predictions, over that deviation.

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from experiments.__main__ import main
-from experiments.own import own_robot
-from experiments.own.hidden_robots import KINDS, PERIOD, drawn_coordinates, logged
-from experiments.own.motions import Chirp, fitted, series_of
-from experiments.own.own_robot import Found, RobotResult, RobotTrial
-from experiments.own.peer import fit_by_peer
+from experiments.own.hidden import own_robot
+from experiments.own.hidden.hidden_robots import KINDS, PERIOD, drawn_coordinates, logged
+from experiments.own.hidden.motions import Chirp, fitted, series_of
+from experiments.own.hidden.own_robot import Found, RobotResult, RobotTrial
+from experiments.own.hidden.peer import fit_by_peer
 from twin.prediction.limits import Limits
 
 

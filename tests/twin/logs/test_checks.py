@@ -74,6 +74,16 @@ def test_what_is_planted_is_named_with_its_place(plant, said):
     assert all(line.startswith("tilt: ") for line in lines)
 
 
+def test_some_actuators_may_rest_but_not_all():
+    rests, moves = (
+        dataclasses.replace(sound("V"), role="actuator", values=size * sound("V").values)
+        for size in (0.0, 1.0)
+    )
+    assert problems(Log({"wheel": rests, "elbow": moves})) == []
+    lines = problems(Log({"wheel": rests, "other": rests, "tilt": sound()}))
+    assert lines == ["wheel, other: no command ever changes"]
+
+
 def test_missing_samples_are_counted():
     kept = np.ones(len(STAMPS), bool)
     kept[[100, 101, 102, 103, 250, 251]] = False

@@ -22,6 +22,9 @@ class Options(contract.SweepOptions):
         peer: How many of these mujoco.sysid identifies as well.
         duration: Duration of a motion, in seconds.
         generations: Generations of the search of each kind's motion.
+        rovers: Rovers of ours on emulated boards as well, as made with default realism.
+        rover_duration: Duration of their motions, in seconds.
+        rover_generations: Generations of the search of their motion.
     """
 
     robots: Annotated[tuple[KindName, ...], tyro.conf.arg(metavar="NAME ...")] = (
@@ -34,6 +37,9 @@ class Options(contract.SweepOptions):
     peer: int = 5
     duration: float = 30.0
     generations: int = 16
+    rovers: int = 10
+    rover_duration: float = 5.0
+    rover_generations: int = 4
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run.
@@ -51,5 +57,10 @@ class Options(contract.SweepOptions):
                 f"--peer {self.peer} --compared {self.compared} --count {self.count}: "
                 "expected 0 <= peer <= compared <= count"
             )
-        if not self.duration >= 3.0:
-            raise OptionError(f"--duration: expected at least 3 s, got {self.duration:g}")
+        if self.rovers < 0:
+            raise OptionError(f"--rovers: expected 0 or more, got {self.rovers}")
+        check_count("rover-generations", self.rover_generations)
+        for name in ("duration", "rover_duration"):
+            if not getattr(self, name) >= 3.0:
+                option = f"--{name.replace('_', '-')}"
+                raise OptionError(f"{option}: expected at least 3 s, got {getattr(self, name):g}")

@@ -11,7 +11,7 @@ import numpy as np
 from controllers.identification.any_model.motion import BLEND, Series, largest
 from experiments.own.excite import best_shape, home
 from experiments.own.excite_options import Options
-from experiments.own.hidden_robots import KINDS, PERIOD, Kind
+from experiments.own.hidden.hidden_robots import KINDS, PERIOD, Kind
 from perception.geometry.arrays import FloatArray
 from twin.prediction.limits import Limits
 from twin.prediction.parameters import explicit, select

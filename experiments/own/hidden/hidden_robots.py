@@ -18,7 +18,7 @@ from twin.logs.log import Log, Signal
 from twin.prediction.parameters import Parameter, explicit, select, write_all
 from twin.prediction.predictor import SETTLING
 
-ROBOTS = Path(__file__).parent / "robots"
+ROBOTS = Path(__file__).parents[1] / "robots"
 PERIOD, SAMPLING = 0.002, 0.01
 """Between two commands, and two samples [s]."""
 LATE, JITTER = 0.0033, 0.001

@@ -14,123 +14,31 @@ from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
-from scipy.stats import chi2
 
-from controllers.identification.any_model.fit import information_of
 from experiments.harness.intervals import distribution, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from experiments.own.hidden_robots import KINDS, Kind, drawn_coordinates, logged
-from experiments.own.identification import SIGMAS, Identified, identify, measurements
-from experiments.own.motions import Chirp, DesignTrial, commands, designed, fitted, series_of
-from experiments.own.own_robot_options import Options
+from experiments.own.hidden import rover_loop
+from experiments.own.hidden.formats import FormatTrial, compared
+from experiments.own.hidden.hidden_robots import KINDS, Kind, drawn_coordinates, logged
+from experiments.own.hidden.motions import Chirp, DesignTrial, commands, designed, fitted, series_of
+from experiments.own.hidden.own_robot_options import Options
+from experiments.own.hidden.results import Found, RobotResult, RobotTrial, found_in
+from experiments.own.hidden.rover_loop import RoverDesign, write_files
+from experiments.own.identification import SIGMAS, identify
 from perception.geometry.arrays import BoolArray, FloatArray
 
 STEP = 0.001
 """Longest time step of the models, as `identify` takes it unless said [s]."""
-TOLD = 0.25
-"""Deviation left by the information at the truth below which a parameter is to be called told."""
-SURE = 0.999
-"""Share of right results that lie within the bound of which a result called good may not be out."""
 RESAMPLES = 2000
 Motion = Literal["designed", "chirp", "random"]
 MOTIONS: tuple[Motion, ...] = ("designed", "chirp", "random")
+_ROVERS = 7  # Stream of random numbers of an experiment's seed.
+COMPARED_DURATION = 4.0
+"""Longest run that is compared in several formats [s]."""
+SAME, SAME_SINGLE = 1e-9, 1e-4
 COVERED, FALSE, NAMED, MISNAMED = (0.92, 0.98), 0.01, 1.0, 0.02
 OVER_CHIRP, OVER_RANDOM, OVER_PEER, HELD_OUT, DELAY = 0.25, 0.5, 1.05, 0.2, 0.5
-
-
-@dataclasses.dataclass(frozen=True)
-class RobotTrial:
-    """One robot to identify.
-
-    Attributes:
-        kind: Kind of robot.
-        seed: Random seed of robot, sensors and random motions.
-        duration: Duration of each motion [s].
-        shape: Shape of the motion that was designed for its drawing.
-        motions: Which motions it plays.
-        peer: Whether ``mujoco.sysid`` identifies it from the first as well.
-    """
-
-    kind: str
-    seed: int
-    duration: float
-    shape: tuple[float, ...]
-    motions: tuple[str, ...]
-    peer: bool
-
-
-@dataclasses.dataclass(frozen=True)
-class Found:
-    """What one log told.
-
-    Attributes:
-        coordinates: (n,) as fitted.
-        covariance: (n, n) that is stated.
-        told: (n,) whether it is called told.
-        plain: (n,) whether the information at the truth tells it.
-        doubts: Why it is not good; empty if it is.
-        hold_out: Error above the noise on the run held out, over that as drawn.
-        chi_square: Squared residuals per sample over the noise's variance.
-        seconds: CPU time of the identification [s].
-    """
-
-    coordinates: FloatArray
-    covariance: FloatArray
-    told: BoolArray
-    plain: BoolArray
-    doubts: tuple[str, ...]
-    hold_out: float
-    chi_square: float
-    seconds: float
-
-    @property
-    def deviations(self) -> FloatArray:
-        """(n,) that are stated."""
-        return np.sqrt(np.diag(self.covariance))
-
-
-@dataclasses.dataclass(frozen=True)
-class RobotResult:
-    """What was found of one robot.
-
-    Attributes:
-        trial: The robot.
-        names: Names of its parameters, those planted last.
-        planted: How many of them no motion tells.
-        truth: (n,) its true coordinates.
-        found: What each motion's log told.
-        peer: (n - planted,) coordinates by the peer; empty if it was not asked.
-        peer_seconds: CPU time of the peer [s].
-    """
-
-    trial: RobotTrial
-    names: tuple[str, ...]
-    planted: int
-    truth: FloatArray
-    found: tuple[Found, ...]
-    peer: FloatArray
-    peer_seconds: float
-
-    @property
-    def asked(self) -> slice:
-        """Place of the parameters that are not planted."""
-        return slice(0, len(self.names) - self.planted)
-
-    def squared_error(self, found: Found) -> float:
-        """Return the summed squared error, in deviations beforehand."""
-        return float(np.sum((found.coordinates - self.truth)[self.asked] ** 2))
-
-    def off(self, found: Found) -> FloatArray:
-        """Return (n,) errors over stated deviations."""
-        return (found.coordinates - self.truth) / found.deviations
-
-    def false(self, found: Found) -> bool:
-        """Whether a result is called good, and what it calls told lies beyond its bound."""
-        off = (found.coordinates - self.truth)[found.told]
-        covariance = found.covariance[np.ix_(found.told, found.told)]
-        distance = float(off @ np.linalg.solve(covariance, off))
-        return not found.doubts and distance > float(chi2.ppf(SURE, len(off)))
 
 
 def run(options: Options, output: Output) -> None:
@@ -142,7 +50,14 @@ def run(options: Options, output: Output) -> None:
     """
     if options.quick:
         options = dataclasses.replace(
-            options, robots=("cart",), count=1, compared=1, peer=0, duration=4.0, generations=1
+            options,
+            robots=("cart",),
+            count=1,
+            compared=1,
+            peer=0,
+            duration=4.0,
+            generations=1,
+            rovers=0,
         )
     root = np.random.SeedSequence(options.seed)
     designs = [
@@ -159,9 +74,48 @@ def run(options: Options, output: Output) -> None:
                 RobotTrial(kind, seed, options.duration, values, motions, index < options.peer)
             )
     results = sweep(identified, trials, options, output, label="robots")
+    results += _rovers(options, output)
+    _formats(options, output)
     _measure(results, output, np.random.default_rng(options.seed))
     output.table("parameters", *_table(results))
     output.figure("deviations", _figure(results))
+
+
+def _rovers(options: Options, output: Output) -> list[RobotResult]:
+    """Close the loop on rovers of ours, and return what was found of each."""
+    write_files(output.file("rover"))
+    if not options.rovers:
+        return []
+    duration, generations = options.rover_duration, options.rover_generations
+    design = RoverDesign(duration, generations, options.seed)
+    (shape,) = sweep(rover_loop.designed, [design], options, output, label="the rover's motion")
+    seeds = np.random.SeedSequence([options.seed, _ROVERS]).generate_state(options.rovers)
+    trials = [
+        RobotTrial("rover", seed, duration, tuple(shape.tolist()), MOTIONS[:1], False)
+        for seed in seeds.tolist()
+    ]
+    results = sweep(rover_loop.identified, trials, options, output, label="rovers")
+    for key, bits in (
+        ("replay_bits_different", [each.bits for each in results]),
+        ("replay_bits_different/emulated", [each.board_bits for each in results]),
+    ):
+        output.measure(key, distribution(bits))
+        output.check(f"{key}, most", max(bits), "= 0", max(bits) == 0)
+    return [each.robot for each in results]
+
+
+def _formats(options: Options, output: Output) -> None:
+    """Identify one robot of each kind from the same run in several formats."""
+    duration = min(options.duration, COMPARED_DURATION)
+    trials = [FormatTrial(kind, duration, options.seed) for kind in options.robots]
+    found = sweep(compared, trials, options, output, label="formats")
+    agree = [each.csv <= SAME and each.lerobot <= SAME_SINGLE for each in found]
+    output.measure("formats_agree", success_fraction(agree))
+    for key, off, most in (
+        ("CSV and MCAP", max(each.csv for each in found), SAME),
+        ("LeRobot and MCAP", max(each.lerobot for each in found), SAME_SINGLE),
+    ):
+        output.check(f"{key}, relative", off, f"<= {most:g}", off <= most)
 
 
 def identified(trial: RobotTrial) -> RobotResult:
@@ -181,9 +135,9 @@ def identified(trial: RobotTrial) -> RobotResult:
         result = identify(
             kind.spec(), [log], [*kind.parameters, *kind.planted], [unseen], step=STEP
         )
-        found.append(_found(result, truth, time.process_time() - begin))
+        found.append(found_in(result, truth, time.process_time() - begin))
         if trial.peer and motion == "designed":
-            fit_by_peer = importlib.import_module("experiments.own.peer").fit_by_peer
+            fit_by_peer = importlib.import_module("experiments.own.hidden.peer").fit_by_peer
             spec = kind.spec()
             spec.option.timestep = STEP
             begin = time.process_time()
@@ -204,25 +158,6 @@ def _commands(
     return fitted(kind, series, series.random(generator))
 
 
-def _found(result: Identified, truth: FloatArray, seconds: float) -> Found:
-    predictor = result.seen.predictor
-    at_truth = information_of(predictor, measurements(predictor), truth)
-    left = np.sqrt(np.diag(np.linalg.inv(at_truth + np.eye(len(truth)))))
-    assert result.unseen is not None
-    predictor.close()
-    result.unseen.predictor.close()
-    return Found(
-        result.fit.coordinates,
-        result.fit.covariance,
-        np.array([each.told for each in result.estimates]),
-        left < TOLD,
-        tuple(result.doubts),
-        result.unseen.ratio,
-        result.fit.chi_square,
-        seconds,
-    )
-
-
 def _measure(
     results: Sequence[RobotResult], output: Output, generator: np.random.Generator
 ) -> None:
@@ -234,6 +169,8 @@ def _measure(
     for kind in dict.fromkeys(each.trial.kind for each in results):
         own = [row for row, each in zip(covered, results) if each.trial.kind == kind]
         output.measure(f"coverage95/{kind}", _clustered(own, generator))
+        ratios = [found.hold_out for each, found in first if each.trial.kind == kind]
+        output.measure(f"hold_out_ratio/{kind}", distribution(ratios))
     false = success_fraction(each.false(found) for each, found in first)
     output.measure("false_confidence_fraction", false)
     output.check("false confidence", false["mean"], f"<= {FALSE:g}", false["mean"] <= FALSE)
@@ -255,7 +192,7 @@ def _measure(
     held_out = [found.hold_out for _, found in first]
     output.measure("hold_out_ratio", distribution(held_out))
     output.check("hold-out, worst", max(held_out), f"<= {HELD_OUT:g}", max(held_out) <= HELD_OUT)
-    delays = [_delay_error(each, found) for each, found in first]
+    delays = [_delay_error(each, found) for each, found in first if "delay" in each.names]
     output.measure("delay_error_ms", distribution(delays))
     output.check("delay, worst [ms]", max(delays), f"<= {DELAY:g}", max(delays) <= DELAY)
     output.measure("chi_square", distribution(found.chi_square for _, found in first))

@@ -1,0 +1,1 @@
+"""Robots that nobody is told, identified and scored against the truth."""
