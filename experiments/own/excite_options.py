@@ -16,6 +16,8 @@ class Options:
     Attributes:
         model: The robot as known so far, MJCF or URDF: as drawn, or model.xml of `identify`.
         parameters: What is to be identified, as `identify` takes it.
+        known: identified.json of runs before: the motion is designed for the robot as they found
+            it, and for what they left unknown.
         out: File of the motion: .csv or .mcap, with a column or topic for each actuator.
         limits: TOML file with limits beyond the ranges that the model states.
         duration: Duration of the motion, in seconds.
@@ -30,6 +32,7 @@ class Options:
     model: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     parameters: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME[:SPREAD] ...")]
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    known: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     limits: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     duration: float = 10.0
     highest: float = 2.0

@@ -48,6 +48,7 @@ class Estimate:
         name: Its name.
         unit: Its unit.
         drawn: Its value as drawn.
+        spread: How far off that may well be: a share of what is above zero, else in `unit`.
         value: Its value as fitted.
         low: Lower end of its 95 % band.
         high: Upper end.
@@ -59,6 +60,7 @@ class Estimate:
     name: str
     unit: str
     drawn: float
+    spread: float
     value: float
     low: float
     high: float
@@ -317,6 +319,7 @@ def _estimates(parameters: Sequence[Parameter], found: Fit, after: Told) -> list
                 each.name,
                 each.unit,
                 each.nominal,
+                each.spread,
                 each.value(at),
                 low,
                 high,

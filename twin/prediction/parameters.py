@@ -13,6 +13,7 @@ values of the ten are those of a physical body, and all physical bodies are amon
 """
 
 import dataclasses
+import difflib
 import fnmatch
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal
@@ -28,6 +29,8 @@ DELAY = 0.02
 """Spread of a delay, unless said otherwise [s]."""
 THINNEST = 1e-6
 """Least second moment of a body, over its largest, so that a rod can be stretched too."""
+FEW = 60
+"""Most parameters that an error lists."""
 _AXES = "xyz"
 
 Scale = Literal["factor", "offset", "from zero"]
@@ -121,7 +124,7 @@ def select(
         name, _, text = pattern.partition(":")
         names = fnmatch.filter(known, name)
         if not names:
-            raise ModelError(f"{name}: no such parameter; there are {', '.join(known)}")
+            raise ModelError(f"{name}: no such parameter; {_hint(name, list(known))}")
         for each in names:
             spread = _spread(pattern, text) if text else known[each].spread
             if not spread and each != name:
@@ -133,6 +136,14 @@ def select(
                 )
             chosen[each] = dataclasses.replace(known[each], spread=spread)
     return list(chosen.values())
+
+
+def _hint(name: str, known: list[str]) -> str:
+    """Return what there is, or of many the closest."""
+    if len(known) <= FEW:
+        return f"there are {', '.join(known)}"
+    close = difflib.get_close_matches(name, known, 5, 0.0)
+    return f"of {len(known)} the closest are {', '.join(close)}; without --parameters all are shown"
 
 
 def _spread(pattern: str, text: str) -> float:

@@ -1,6 +1,7 @@
 """``excite``: a motion within limits that tells more than a hand-made one."""
 
 import csv
+import json
 
 import mujoco
 import numpy as np
@@ -8,13 +9,13 @@ import pytest
 
 from controllers.identification.any_model.motion import Series
 from experiments.__main__ import main
-from experiments.own.excite import information_in, sensors
+from experiments.own.excite import Prior, best_shape, information_in, known_before, sensors
 from experiments.own.excite_options import Options
 from experiments.own.identification import load_model
 from tests.experiments.own import hidden
 from twin.logs.mapping import read_log
-from twin.prediction.limits import read_limits
-from twin.prediction.parameters import explicit, select
+from twin.prediction.limits import Limits, read_limits
+from twin.prediction.parameters import Parameter, explicit, select
 
 NAMES = ["joint.*.damping", "joint.*.stiffness", "body.*.mass", "delay"]
 LIMITS = "[joints.root]\nposition = [-0.3, 0.3]\n[joints.rail]\nrate = 1.0\n"
@@ -75,9 +76,57 @@ def test_motion_tells_more_than_a_chirp_within_the_same_limits(designed):
     ]
     left = []
     for commands in (rows[:, 1], max(sizes) * chirp):
-        found = information_in(spec, parameters, series, (stamps, commands), options)
+        found = information_in(
+            spec, parameters, series, (stamps, commands), options, np.zeros(len(parameters))
+        )
         left.append(np.trace(np.linalg.inv(found + np.eye(len(parameters)))))
     assert left[0] < 0.8 * left[1]
+
+
+def known_file(path, entries, covariance):
+    rows = [{"name": name, "value": value, "spread": spread} for name, value, spread in entries]
+    path.write_text(json.dumps({"parameters": rows, "covariance": covariance}))
+    return path
+
+
+def test_what_is_known_is_taken_by_name_and_in_other_spreads(tmp_path):
+    parameters = [
+        Parameter("mass", "kg", 2.0, 0.3, "factor", lambda spec, value: None),
+        Parameter("new", "m", 0.0, 0.1, "offset", lambda spec, value: None),
+        Parameter("centre", "m", 0.1, 0.02, "offset", lambda spec, value: None),
+    ]
+    entries = [("centre", 0.13, 0.01), ("other", 1.0, 1.0), ("mass", 2.2, 0.3)]
+    covariance = [[0.04, 0.0, 0.01], [0.0, 1.0, 0.0], [0.01, 0.0, 0.09]]
+    found = known_before(known_file(tmp_path / "a.json", entries, covariance), parameters)
+    np.testing.assert_allclose(found.coordinates, [np.log(1.1) / 0.3, 0.0, 1.5])
+    expected = [[0.09, 0.0, 0.005], [0.0, 1.0, 0.0], [0.005, 0.0, 0.01]]
+    np.testing.assert_allclose(found.covariance, expected)
+    np.testing.assert_allclose(found.precision @ expected, np.eye(3), atol=1e-12)
+
+
+def test_next_motion_seeks_what_the_runs_before_left_unknown(tmp_path):
+    """All but the damping at the pole's root is known already."""
+    names = ["joint.*.damping", "joint.*.stiffness", "body.*.mass"]
+    spec = load_model(tmp_path.__class__(hidden.robot("cart")))
+    parameters = select(explicit(spec), names, {})
+    entries = [(each.name, each.nominal, each.spread) for each in parameters]
+    sought = [each.name for each in parameters].index("joint.root.damping")
+    sizes = np.where(np.arange(len(parameters)) == sought, 1.0, 1e-4)
+    file = known_file(tmp_path / "known.json", entries, np.diag(sizes).tolist())
+    options = Options(
+        tmp_path, (), tmp_path / "a.csv", duration=4.0, generations=4, highest=4.0, seed=3
+    )
+    series = Series(np.zeros(1), 4.0, 4.0)
+    limits = Limits.of_model(spec.compile())
+    left = []
+    for before in (Prior.as_drawn(len(parameters)), known_before(file, parameters)):
+        shape = best_shape(
+            spec, parameters, series, limits, options, lambda step, best: None, before
+        )
+        known = known_before(file, parameters)
+        found = information_in(spec, parameters, series, shape, options, known.coordinates)
+        left.append(np.linalg.inv(found + known.precision)[sought, sought])
+    assert left[1] < 0.9 * left[0]
 
 
 def test_a_motion_is_written_as_a_log_as_well(designed):
@@ -94,6 +143,7 @@ def test_a_motion_is_written_as_a_log_as_well(designed):
         (["--out", "motion.csv", "--duration", "1"], 2, "--duration: expected above 3"),
         (["--out", "motion.csv", "--home", "1", "2"], 1, "--home: 2 commands for 1 actuators"),
         (["--out", "motion.csv", "--limits", "none.toml"], 1, "none.toml: "),
+        (["--out", "motion.csv", "--known", "none.json"], 1, "none.json: no result of identify: "),
     ],
 )
 def test_bad_input_is_one_line(words, status, message, capsys):
