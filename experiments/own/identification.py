@@ -33,7 +33,7 @@ NOISE = 2.0
 FINE = 5.0
 """Largest shift by finer time steps, in deviations, of a result that is called good."""
 BEGINNINGS = (0.05, 0.1, 0.2, 0.4, 0.7)
-"""Shares of a run that are fitted one after another where the whole cannot be explained."""
+"""Shares of the longest run that are fitted one after another where all cannot be explained."""
 SHORTEST = 0.5
 """Shortest beginning of a run that is fitted [s]."""
 SIGMAS = float(np.sqrt(chi2.ppf(0.95, 1)))
@@ -212,7 +212,7 @@ def identify(
     predictor = ModelPredictor(spec, parameters, logs, start)
     measured = measurements(predictor)
     drawn = np.zeros(len(predictor.names))
-    before = told(information_of(predictor, measured, drawn), predictor.names, drawn)
+    before = _told(information_of(predictor, measured, drawn), parameters, drawn)
     check(before)
     found = fit(predictor, measured, predictor.lowest, watch, hopeful=False)
     if found.chi_square > SUSPECT:
@@ -220,7 +220,7 @@ def identify(
         other = fit(predictor, measured, predictor.lowest, watch, begin)
         found = min(found, other, key=lambda each: each.chi_square)
     found = _by_finer_steps(found, predictor, spec, parameters, logs, start)
-    after = told(found.information, predictor.names, found.coordinates)
+    after = _told(found.information, parameters, found.coordinates)
     seen = Runs(predictor, *predictor(np.vstack([drawn, found.coordinates])))
     unseen = _unseen(spec, parameters, found.coordinates, held_out, start) if held_out else None
     return Identified(
@@ -233,6 +233,16 @@ def identify(
         _doubts(found, unseen),
         drawn_step,
     )
+
+
+def _told(
+    information: FloatArray, parameters: Sequence[Parameter], coordinates: FloatArray
+) -> Told:
+    """Return what is told of parameters, the first coordinates, whatever the others are."""
+    count = len(parameters)
+    left = np.linalg.inv(information + np.eye(len(information)))[:count, :count]
+    own = np.linalg.inv(left) - np.eye(count)
+    return told(own, [each.name for each in parameters], coordinates[:count])
 
 
 def _from_shorter(
@@ -248,11 +258,9 @@ def _from_shorter(
     long run, and no direction from there leads back.
     """
     begin: FloatArray | None = None
-    for share in BEGINNINGS:
-        parts: list[Log] = []
-        for log in logs:
-            first, last = log.span
-            parts.append(log.until(first + max(share * (last - first), SHORTEST)))
+    longest = max(last - first for first, last in (log.span for log in logs))
+    for duration in sorted({max(share * longest, SHORTEST) for share in BEGINNINGS}):
+        parts = [log.until(log.span[0] + duration) for log in logs]
         with closing(ModelPredictor(spec, parameters, parts, start)) as predictor:
             measured = measurements(predictor)
             begin = fit(predictor, measured, predictor.lowest, watch, begin).coordinates

@@ -64,6 +64,9 @@ def run(options: Options) -> int:
     page = write_all(found, options.out)
     verdict(found)
     print(f"next: look at {page}, and at {options.out / 'model.xml'} with view")
+    if found.after.unknown:
+        known = options.out / "identified.json"
+        print(f"or: excite --known {known}, for a motion that tells what this one did not")
     return DOUBTED if found.doubts else 0
 
 

@@ -11,13 +11,12 @@ from typing import Any
 import matplotlib.pyplot as plt
 
 from experiments.harness.figure_style import use_style
+from experiments.own.curves import DRAWN, TUNED, Panel, plot_panels
 from experiments.own.identification import Estimate, Identified, Residual, Runs
 from experiments.report.html import numbers, table
 from experiments.report.images import embed
 from experiments.report.style import STYLE
 
-SHOWN = 12
-"""Most channels of a figure."""
 UNWHITE = 0.01
 """Probability below which residuals are no noise."""
 CAPTIONS = {
@@ -26,7 +25,6 @@ CAPTIONS = {
     "unseen": "Runs that were held out",
 }
 """What a figure shows."""
-MEASURED, DRAWN, TUNED = "0.2", "tab:orange", "tab:blue"
 
 
 def write_all(found: Identified, folder: Path) -> Path:
@@ -98,30 +96,13 @@ def plot_bands(estimates: Sequence[Estimate], path: Path) -> None:
 
 def plot_runs(runs: Runs, path: Path) -> None:
     """Plot what was measured and predicted, and the error as fitted, for the first channels."""
-    channels = list(runs.predictor.channels.items())[:SHOWN]
-    figure, grid = plt.subplots(
-        len(channels),
-        2,
-        figsize=(8.0, 0.4 + 1.1 * len(channels)),
-        sharex="col",
-        squeeze=False,
-        layout="constrained",
-    )
-    for (left, right), ((run, channel), place) in zip(grid, channels, strict=True):
-        stamps = runs.predictor.stamps(run, channel)
-        measured, sigma = runs.predictor.measured[place], runs.predictor.sigma[place]
-        left.plot(stamps, measured, color=MEASURED, lw=1.5, label="measured")
-        left.plot(stamps, runs.drawn[place], color=DRAWN, lw=0.8, label="as drawn")
-        left.plot(stamps, runs.tuned[place], color=TUNED, lw=0.8, ls="--", label="as fitted")
-        left.set_ylabel(f"{channel}\n[SI]", fontsize="x-small")
-        right.plot(stamps, (measured - runs.tuned[place]) / sigma, color=TUNED, lw=0.6)
-        right.axhspan(-2.0, 2.0, color="0.9")
-    grid[0, 0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
-    grid[0, 1].set_title("error as fitted, over the noise's deviation")
-    for axes in grid[-1]:
-        axes.set_xlabel("time [s]")
-    figure.savefig(path)
-    plt.close(figure)
+    panels: list[Panel] = []
+    for (run, channel), place in runs.predictor.channels.items():
+        measured, tuned = runs.predictor.measured[place], runs.tuned[place]
+        curves = {"measured": measured, "as drawn": runs.drawn[place], "as fitted": tuned}
+        error = (measured - tuned) / runs.predictor.sigma[place]
+        panels.append(Panel(channel, runs.predictor.stamps(run, channel), curves, error))
+    plot_panels(panels, "error as fitted, over the noise's deviation", path, band=2.0)
 
 
 def _page(found: Identified, pictures: Sequence[Path]) -> str:

@@ -7,7 +7,6 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
@@ -20,6 +19,7 @@ from controllers.motion.playback import Playback
 from experiments.harness.contract import ExperimentError
 from experiments.harness.figure_style import use_style
 from experiments.harness.recording import recording
+from experiments.own.curves import SHOWN, Panel, plot_panels
 from experiments.own.identification import load_model, predicted
 from experiments.own.identify import read_logs
 from experiments.own.replay_options import Options
@@ -32,10 +32,6 @@ from twin.logs.writing import LogWriter
 from twin.loop import run as run_loop
 from twin.prediction.parameters import ModelError
 from twin.robot import applied_command
-
-SHOWN = 12
-"""Most curves of the figure."""
-MEASURED, SIMULATED = "0.2", "tab:blue"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -187,33 +183,17 @@ def write_all(curves: Sequence[Curve], folder: Path) -> None:
         csv.writer(stream).writerows([heads, *rows])
     found = [dict(zip(heads, row)) for row in rows]
     (folder / "replay.json").write_text(json.dumps(found, indent=1) + "\n")
-    plot(curves[:SHOWN], folder / "replay.png")
-    record(curves, folder / "replay.rrd")
-
-
-def plot(curves: Sequence[Curve], path: Path) -> None:
-    """Plot measured and simulated samples, and their difference."""
-    figure, grid = plt.subplots(
-        len(curves),
-        2,
-        figsize=(8.0, 0.4 + 1.1 * len(curves)),
-        sharex="col",
-        squeeze=False,
-        layout="constrained",
-    )
-    for (left, right), curve in zip(grid, curves, strict=True):
-        left.plot(curve.stamps, curve.measured, color=MEASURED, lw=1.5, label="measured")
-        left.plot(
-            curve.stamps, curve.simulated, color=SIMULATED, lw=0.8, ls="--", label="simulated"
+    panels = [
+        Panel(
+            each.name,
+            each.stamps,
+            {"measured": each.measured, "simulated": each.simulated},
+            each.measured - each.simulated,
         )
-        left.set_ylabel(f"{curve.name.replace('/', chr(10))}\n[SI]", fontsize="x-small")
-        right.plot(curve.stamps, curve.measured - curve.simulated, color=SIMULATED, lw=0.6)
-    grid[0, 0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    grid[0, 1].set_title("measured less simulated [SI]")
-    for axes in grid[-1]:
-        axes.set_xlabel("time [s]")
-    figure.savefig(path)
-    plt.close(figure)
+        for each in curves
+    ]
+    plot_panels(panels, "measured less simulated [SI]", folder / "replay.png")
+    record(curves, folder / "replay.rrd")
 
 
 def record(curves: Sequence[Curve], path: Path) -> None:

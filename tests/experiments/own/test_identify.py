@@ -18,6 +18,8 @@ from twin.prediction.predictor import ModelPredictor
 
 DAMPING, FRICTION, MASS, DELAY = 1.3, 0.7, 1.2, 0.006
 """What is changed on a hidden robot."""
+CENTRE = "body.cart.centre_x"
+"""Where the cart's weight lies along its rail, which no motion tells."""
 
 
 def change(spec):
@@ -122,6 +124,17 @@ def test_the_same_run_in_another_format_gives_the_same(tmp_path, capsys):
         content = json.loads((tmp_path / "found" / "identified.json").read_text())
         found.append([each["value"] for each in content["parameters"]])
     np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
+
+
+def test_a_run_that_begins_moving_is_asked_for_its_parameters_alone(tmp_path):
+    """Where it begins is sought too, and no result."""
+    write_runs(tmp_path, "cart", 3.0, lambda spec: None, "ab")
+    words = ["--log", f"{tmp_path}/a.csv", "--hold-out", f"{tmp_path}/b.csv", "--start", "moving"]
+    identify(tmp_path, "cart", *words, "--parameters", "joint.*.stiffness", "delay", CENTRE)
+    found = json.loads((tmp_path / "found" / "identified.json").read_text())
+    assert found["not_told_before"] == [CENTRE]
+    assert [list(each) for each in found["not_told_combinations"]] == [[CENTRE]]
+    assert found["hold_out_ratio"] is not None and found["chi_square"] < 1.2
 
 
 def test_parameters_of_a_model_are_listed(capsys):
