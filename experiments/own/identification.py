@@ -263,7 +263,8 @@ def _from_shorter(
         parts = [log.until(log.span[0] + duration) for log in logs]
         with closing(ModelPredictor(spec, parameters, parts, start)) as predictor:
             measured = measurements(predictor)
-            begin = fit(predictor, measured, predictor.lowest, watch, begin).coordinates
+            found = fit(predictor, measured, predictor.lowest, watch, begin, rough=True)
+            begin = found.coordinates
     assert begin is not None
     return begin
 

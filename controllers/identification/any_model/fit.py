@@ -97,8 +97,8 @@ class Measurements:
             residuals: (r,) what is left.
 
         Returns:
-            (r,) factors, each 1 or more: of a channel that is not white, the integral of its
-            autocorrelation, up to where that of two neighbours is no longer above zero.
+            (r,) factors, each 1 or more. That of a channel that is not white is the integral of
+            its autocorrelation, up to where that of two neighbours is no longer above zero.
         """
         factor = np.ones(len(residuals))
         for channel in self.channels:
@@ -209,6 +209,7 @@ def fit(
     watch: Callable[[int, float], None] = lambda step, chi_square: None,
     begin: FloatArray | None = None,
     hopeful: bool = True,
+    rough: bool = False,
 ) -> Fit:
     """Fit coordinates to measurements.
 
@@ -219,6 +220,7 @@ def fit(
         watch: Called with the number of each step and the chi^2 per sample before it.
         begin: (n,) coordinates to begin with; None for zero.
         hopeful: Whether it goes on where the first `PATIENCE` steps have hardly led anywhere.
+        rough: Whether it ends with the first step that is hardly worth one.
 
     Raises:
         FitError: If the model diverges where it begins.
@@ -227,8 +229,9 @@ def fit(
     x = _scanned(predict, measured, x, lowest)
     damping, step, left = DAMPING, 0, MOST_JUMPS
     last = previous = enough = np.inf
+    careful = False
     while True:
-        residuals, rows = _linearised(predict, measured, x)
+        residuals, rows = _linearised(predict, measured, x, careful)
         chi_square = float(np.mean(residuals**2))
         watch(step, chi_square)
         if step == 0 and not hopeful:
@@ -248,14 +251,19 @@ def fit(
         if step == MOST_STEPS or (step == PATIENCE and chi_square > enough):
             return done.coloured(measured)
         stalled = done.converged or gain < SMALL_GAIN * _cost(residuals, heat, x)
+        if rough and 0.0 <= last < SMALL_GAIN * _cost(residuals, heat, x):
+            return done.coloured(measured)
         better = None
         if stalled and left and done.chi_square > SUSPECT:
             better, left = _jump(predict, measured, done, lowest), left - 1
         if better is None and not done.converged:
             better, damping = _descent(predict, measured, done, lowest, gradient, free, damping)
+        if better is None and not careful and not done.converged:
+            careful = True
+            continue
         if better is None:
             return dataclasses.replace(done, gained=0.0).coloured(measured)
-        (x, now), previous, step = better, last, step + 1
+        (x, now), previous, step, careful = better, last, step + 1, False
         last = _cost(residuals, heat, done.coordinates) - now
 
 
@@ -379,9 +387,13 @@ def told(information: FloatArray, names: Sequence[str], coordinates: FloatArray)
 
 
 def _linearised(
-    predict: Predict, measured: Measurements, x: FloatArray
+    predict: Predict, measured: Measurements, x: FloatArray, careful: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Return residuals (r,) and the weighted derivatives (r, n) of the predictions."""
+    """Return residuals (r,) and the weighted derivatives (r, n) of the predictions.
+
+    Where a robot sticks on one side of a point and slips on the other, what it does from then on
+    jumps. Careful, derivatives are those of the side on which the prediction changes less.
+    """
     steps = measured.steps
     above = np.vstack([x, x + np.diag(steps)])
     coarse = steps > COARSE
@@ -393,10 +405,17 @@ def _linearised(
     rows[coarse] = (found[1 : len(above)][coarse] - found[len(above) :]) / (
         2.0 * steps[coarse, None]
     )
-    spiked = [index for index in np.flatnonzero(~coarse) if _has_spike(rows[index], measured)]
-    if spiked:
-        other = (found[0] - predict(x - np.diag(steps)[spiked])) / steps[spiked, None]
-        rows[spiked] = np.where(np.abs(other) < np.abs(rows[spiked]), other, rows[spiked])
+    fine = np.flatnonzero(~coarse)
+    doubted = [index for index in fine if careful or _has_spike(rows[index], measured)]
+    if doubted:
+        other = (found[0] - predict(x - np.diag(steps)[doubted])) / steps[doubted, None]
+        smaller = np.abs(other) < np.abs(rows[doubted])
+        if careful:
+            sizes = [
+                np.linalg.norm(each / measured.sigma, axis=1) for each in (other, rows[doubted])
+            ]
+            smaller = (sizes[0] < sizes[1])[:, None]
+        rows[doubted] = np.where(smaller, other, rows[doubted])
     return (measured.values - found[0]) / measured.sigma, (rows / measured.sigma).T
 
 

@@ -34,7 +34,7 @@ RESAMPLES = 2000
 Motion = Literal["designed", "chirp", "random"]
 MOTIONS: tuple[Motion, ...] = ("designed", "chirp", "random")
 _ROVERS = 7  # Stream of random numbers of an experiment's seed.
-COMPARED_DURATION = 4.0
+COMPARED_DURATION = 2.5
 """Longest run that is compared in several formats [s]."""
 SAME, SAME_SINGLE = 1e-9, 1e-4
 COVERED, FALSE, NAMED, MISNAMED = (0.92, 0.98), 0.01, 1.0, 0.02
@@ -45,7 +45,7 @@ def run(options: Options, output: Output) -> None:
     """Design motions, identify robots, and score.
 
     Args:
-        options: ``quick`` identifies one cart, from 4 s of a motion that is the best of twelve.
+        options: ``quick`` identifies one cart, from 3.2 s of a motion that is the best of twelve.
         output: Receives ``coverage95``, ``false_confidence_fraction`` and others.
     """
     if options.quick:
@@ -55,7 +55,7 @@ def run(options: Options, output: Output) -> None:
             count=1,
             compared=1,
             peer=0,
-            duration=4.0,
+            duration=3.2,
             generations=1,
             rovers=0,
         )

@@ -13,7 +13,6 @@ from experiments.own.excite import Prior, best_shape, information_in, known_befo
 from experiments.own.excite_options import Options
 from experiments.own.identification import load_model
 from tests.experiments.own import hidden
-from twin.logs.mapping import read_log
 from twin.prediction.limits import Limits, read_limits
 from twin.prediction.parameters import Parameter, explicit, select
 
@@ -105,35 +104,25 @@ def test_what_is_known_is_taken_by_name_and_in_other_spreads(tmp_path):
 
 
 def test_next_motion_seeks_what_the_runs_before_left_unknown(tmp_path):
-    """All but the damping at the pole's root is known already."""
-    names = ["joint.*.damping", "joint.*.stiffness", "body.*.mass"]
-    spec = load_model(tmp_path.__class__(hidden.robot("cart")))
-    parameters = select(explicit(spec), names, {})
+    """All of the leg but the damping of its knee is known already."""
+    spec = load_model(tmp_path.__class__(hidden.robot("leg")))
+    model = spec.compile()
+    parameters = select(explicit(spec), ["joint.*.damping", "joint.*.armature"], {})
     entries = [(each.name, each.nominal, each.spread) for each in parameters]
-    sought = [each.name for each in parameters].index("joint.root.damping")
-    sizes = np.where(np.arange(len(parameters)) == sought, 1.0, 1e-4)
+    sought = [each.name for each in parameters].index("joint.knee.damping")
+    sizes = np.where(np.arange(len(parameters)) == sought, 1.0, 1e-6)
     file = known_file(tmp_path / "known.json", entries, np.diag(sizes).tolist())
-    options = Options(
-        tmp_path, (), tmp_path / "a.csv", duration=4.0, generations=4, highest=4.0, seed=3
-    )
-    series = Series(np.zeros(1), 4.0, 4.0)
-    limits = Limits.of_model(spec.compile())
+    known = known_before(file, parameters)
+    options = Options(tmp_path, (), tmp_path / "a.csv", duration=3.2, generations=1, seed=1)
+    series, limits = Series(model.key_ctrl[0].copy(), 3.2, 2.0), Limits.of_model(model)
     left = []
-    for before in (Prior.as_drawn(len(parameters)), known_before(file, parameters)):
+    for before in (Prior.as_drawn(len(parameters)), known):
         shape = best_shape(
             spec, parameters, series, limits, options, lambda step, best: None, before
         )
-        known = known_before(file, parameters)
         found = information_in(spec, parameters, series, shape, options, known.coordinates)
         left.append(np.linalg.inv(found + known.precision)[sought, sought])
-    assert left[1] < 0.9 * left[0]
-
-
-def test_a_motion_is_written_as_a_log_as_well(designed):
-    folder, words, rows = designed
-    assert main([*words, "--out", f"{folder}/motion.mcap"]) == 0
-    log = read_log(folder / "motion.mcap")
-    np.testing.assert_array_equal(log.signals["push"].values[:, 0], rows[:, 1])
+    assert left[1] < 0.8 * left[0]
 
 
 @pytest.mark.parametrize(

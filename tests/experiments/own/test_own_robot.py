@@ -93,4 +93,5 @@ def test_quick_run_scores_one_cart(tmp_path):
     assert metrics["coverage95"]["n"] == 11
     assert metrics["hold_out_ratio"]["median"] < 0.2
     assert metrics["delay_error_ms"]["median"] < 0.5
+    assert metrics["formats_agree"]["mean"] == 1.0
     assert (tmp_path / "own-robot" / "figures" / "deviations.png").stat().st_size > 10_000

@@ -158,3 +158,22 @@ def test_fit_that_leads_nowhere_is_given_up(hopeful, most, monkeypatch):
     samples = measured(np.full(30, 100.0), np.ones(30), count=1)
     found = fit(linear(np.full((30, 1), 100.0)), samples, np.full(1, -np.inf), hopeful=hopeful)
     assert found.steps == most and not found.converged
+
+
+def test_a_jump_just_beside_a_point_does_not_end_the_fit():
+    """Beyond the point a joint slips: what is predicted jumps, and its derivative says nothing."""
+
+    def predict(x):
+        return np.repeat(x + 10.0 * (x > 5e-5), 30, axis=1)
+
+    samples = measured(np.full(30, -0.5), np.full(30, 0.01), count=1)
+    found = fit(predict, samples, np.full(1, -np.inf))
+    assert found.coordinates[0] == pytest.approx(-0.5, abs=0.01) and found.converged
+
+
+def test_a_rough_fit_ends_with_the_first_step_that_is_hardly_worth_one(monkeypatch):
+    monkeypatch.setattr("controllers.identification.any_model.fit.LONGEST", 0.01)
+    samples = measured(np.full(30, 100.0), np.ones(30), count=1)
+    model, lowest = linear(np.full((30, 1), 20.0)), np.full(1, -np.inf)
+    rough, whole = (fit(model, samples, lowest, rough=each) for each in (True, False))
+    assert rough.steps == 1 and whole.steps == MOST_STEPS
