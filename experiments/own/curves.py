@@ -57,7 +57,8 @@ def plot_panels(panels: Sequence[Panel], error: str, path: Path, band: float = 0
     for (left, right), each in zip(grid, shown, strict=True):
         for label, values in each.curves.items():
             left.plot(each.stamps, values, label=label, **_STYLES[label])
-        left.set_ylabel(f"{each.name.replace('/', chr(10))}\n[SI]", fontsize="x-small")
+        name = each.name.replace("/", "\n").replace(".", "\n")
+        left.set_ylabel(f"{name}\n[SI]", fontsize="x-small")
         right.plot(each.stamps, each.error, color=TUNED, lw=0.6)
         if band:
             right.axhspan(-band, band, color="0.9")

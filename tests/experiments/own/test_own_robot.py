@@ -95,3 +95,5 @@ def test_quick_run_scores_one_cart(tmp_path):
     assert metrics["delay_error_ms"]["median"] < 0.5
     assert metrics["formats_agree"]["mean"] == 1.0
     assert (tmp_path / "own-robot" / "figures" / "deviations.png").stat().st_size > 10_000
+    files = {each.name for each in (tmp_path / "own-robot" / "rover").iterdir()}
+    assert files == {"drawn.xml", "servo.xml", "limits.toml", "mapping.toml"}
