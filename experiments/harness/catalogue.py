@@ -275,10 +275,10 @@ _ALL: tuple[Experiment, ...] = (
     ),
     Experiment(
         name="own-robot",
-        summary="foreign robots that nobody is told, identified by motions designed for them",
+        summary="robots that nobody is told, identified by motions designed for them",
         thesis="section 2.6, on any robot",
         module="experiments.own.hidden.own_robot",
-        example="--robots leg cart --count 5 --compared 2 --peer 0",
+        example="--robots leg cart --count 5 --compared 2 --peer 0 --rovers 0",
         quick="a minute",
     ),
     Experiment(

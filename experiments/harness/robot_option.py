@@ -22,6 +22,25 @@ def check_robot(target: str) -> None:
         raise OptionError(f"--robot: {error}") from None
 
 
+def check_one_rover(target: str, **simulated: object) -> None:
+    """Refuse several robots, and options of simulated ones beside real boards.
+
+    Args:
+        target: Value of the option.
+        simulated: Options that only simulated robots have, by name; None where not given.
+
+    Raises:
+        OptionError: Naming the option.
+    """
+    check_robot(target)
+    wirings = wirings_of(target)
+    if len(wirings) > 1:
+        raise OptionError(f"--robot: one rover is driven at a time, got {len(wirings)}")
+    for name, value in simulated.items():
+        if wirings and value is not None:
+            raise OptionError(f"--{name}: real boards have none; leave it out")
+
+
 def check_calibrations(target: str) -> None:
     """Refuse real robots without a calibration that can be used, before anything is opened.
 

@@ -7,8 +7,7 @@ from typing import Annotated
 import tyro
 
 from experiments.harness.contract import OptionError, check_new
-from experiments.harness.robot_option import check_robot
-from twin.hardware.wiring import wirings_of
+from experiments.harness.robot_option import check_one_rover
 from twin.optics.realism import RealismName
 
 
@@ -42,13 +41,7 @@ class Options:
         Raises:
             OptionError: Naming the option.
         """
-        check_robot(self.robot)
-        wirings = wirings_of(self.robot)
-        if len(wirings) > 1:
-            raise OptionError(f"--robot: one rover plays at a time, got {len(wirings)}")
-        for name in ("realism", "seed"):
-            if wirings and getattr(self, name) is not None:
-                raise OptionError(f"--{name}: real boards have none; leave it out")
+        check_one_rover(self.robot, realism=self.realism, seed=self.seed)
         if self.seed is not None and self.seed < 0:
             raise OptionError(f"--seed: expected 0 or more, got {self.seed}")
         if not self.approach > 0.0:

@@ -52,8 +52,9 @@ def _problems(signal: Signal) -> Iterator[str]:
 
 
 def _is_still(values: FloatArray) -> bool:
-    """Return whether no number changes; one that is none makes no change."""
-    return bool(np.all((values == values[:1]) | np.isnan(values)))
+    """Return whether no sample of numbers differs from another."""
+    good = values[np.isfinite(values).all(axis=1)]
+    return not len(good) or bool(np.ptp(good, axis=0).max() == 0.0)
 
 
 def _clock_problems(stamps: FloatArray) -> Iterator[str]:

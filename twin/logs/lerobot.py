@@ -71,7 +71,7 @@ def write_lerobot(log: Log, folder: Path, rate: int) -> None:
         if not chosen:
             raise LogError(f"no {role}, of which {feature} is made")
         columns[feature] = np.hstack([each.values for each in chosen.values()])
-        names[feature] = [label for name, each in chosen.items() for label in _labels(name, each)]
+        names[feature] = [label for name, each in chosen.items() for label in labels(name, each)]
     folder.mkdir()
     _write_table(folder, _frames(columns, rate), "data")
     _write_table(folder, _episodes(count), "meta/episodes")
@@ -93,7 +93,8 @@ def _sampled(signal: Signal, times: FloatArray) -> FloatArray:
     return np.column_stack([np.interp(times, stamps, column) for column in values.T])
 
 
-def _labels(name: str, signal: Signal) -> list[str]:
+def labels(name: str, signal: Signal) -> list[str]:
+    """Return the names of a signal's numbers in a dataset."""
     count = signal.values.shape[1]
     return [name] if count == 1 else [f"{name}.{number}" for number in range(count)]
 

@@ -11,7 +11,7 @@ from experiments.own.hidden.hidden_robots import KINDS, drawn_coordinates, logge
 from experiments.own.hidden.motions import fitted, series_of
 from experiments.own.identification import identify
 from perception.geometry.arrays import FloatArray
-from twin.logs.lerobot import at_one_rate, write_lerobot
+from twin.logs.lerobot import at_one_rate, labels, write_lerobot
 from twin.logs.log import Log
 from twin.logs.mapping import read_log, read_mapping
 from twin.logs.writing import write_mcap
@@ -81,7 +81,7 @@ def write_csv(log: Log, path: Path) -> str:
     columns: dict[str, FloatArray] = {}
     lines: list[str] = []
     for name, each in log.signals.items():
-        fields = [f"{name}.{index}" for index in range(each.values.shape[1])]
+        fields = labels(name, each)
         columns |= dict(zip(fields, each.values.T))
         lines += [f'[{each.role}s."{name}"]', f"fields = {fields}"]
     stamps = next(iter(log.signals.values())).stamps
@@ -98,8 +98,6 @@ def _lerobot_mapping(log: Log) -> str:
         chosen = {name: each for name, each in log.signals.items() if each.role == role}
         alone = sum(each.values.shape[1] for each in chosen.values()) == 1
         for name, each in chosen.items():
-            count = each.values.shape[1]
-            labels = [name] if count == 1 else [f"{name}.{index}" for index in range(count)]
-            fields = [feature if alone else f"{feature}[{label}]" for label in labels]
+            fields = [feature if alone else f"{feature}[{label}]" for label in labels(name, each)]
             lines += [f'[{role}s."{name}"]', f"fields = {fields}"]
     return "\n".join(lines) + "\n"

@@ -1,9 +1,9 @@
-"""``own-robot``: foreign robots that nobody is told, identified without a line of code for them.
+"""``own-robot``: robots that nobody is told, foreign ones without a line of code for them.
 
 Each robot is its drawing with all parameters in question elsewhere. It plays the motion that was
 designed for its drawing; some also play a chirp and a random motion, as long and within the same
-limits. Each log is identified, and confirmed by a random motion that was held out. The truth scores
-afterwards.
+limits. Each log is identified, and confirmed by a random motion that was held out. Rovers of ours
+on emulated boards close the same loop. The truth scores afterwards.
 """
 
 import dataclasses

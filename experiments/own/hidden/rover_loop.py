@@ -36,7 +36,7 @@ from twin.hardware.emulator.amplifier import (
     pulse_share,
 )
 from twin.logs.mapping import read_log, read_mapping
-from twin.prediction.limits import Limits, read_limits
+from twin.prediction.limits import Limits
 from twin.prediction.parameters import Parameter, catalogue, explicit, select
 from twin.realism import make_robots
 
@@ -178,10 +178,8 @@ def write_files(folder: Path) -> None:
 
 def designed(trial: RoverDesign) -> FloatArray:
     """Design a motion for the rover as drawn, and return its shape."""
-    with tempfile.TemporaryDirectory() as folder:
-        write_files(Path(folder))
-        spec = mujoco.MjSpec.from_file(f"{folder}/servo.xml")
-        limits = read_limits(Path(folder) / "limits.toml", spec.compile())
+    spec = servo_drawing()
+    model = spec.compile()
     options = ExciteOptions(
         Path("servo.xml"),
         TOLD_BY_MOTION,
@@ -192,13 +190,19 @@ def designed(trial: RoverDesign) -> FloatArray:
         generations=trial.generations,
         seed=trial.seed,
     )
-    parameters = select(explicit(spec), TOLD_BY_MOTION, sensors_of(spec.compile()))
-    series = _series(spec, trial.duration)
+    parameters = select(explicit(spec), TOLD_BY_MOTION, sensors_of(model))
+    series, limits = _series(model, trial.duration), _limits(model)
     return best_shape(spec, parameters, series, limits, options, lambda step, best: None)
 
 
-def _series(spec: mujoco.MjSpec, duration: float) -> Series:
-    return Series(spec.compile().key_ctrl[0].copy(), duration, HIGHEST)
+def _series(model: mujoco.MjModel, duration: float) -> Series:
+    return Series(model.key_ctrl[0].copy(), duration, HIGHEST)
+
+
+def _limits(model: mujoco.MjModel) -> Limits:
+    """Return the limits of a motion, as `write_files` writes them."""
+    rates = {f"{joint}_joint": RATE for joint in ARM}
+    return dataclasses.replace(Limits.of_model(model), rates=rates)
 
 
 def identified(trial: RobotTrial) -> RoverResult:
@@ -207,13 +211,9 @@ def identified(trial: RobotTrial) -> RoverResult:
     Args:
         trial: The rover; its seed is that of the connection too, and of the motion held out.
     """
-    spec = servo_drawing()
-    model = spec.compile()
-    series = _series(spec, trial.duration)
+    model = servo_drawing().compile()
+    series, limits = _series(model, trial.duration), _limits(model)
     steps = np.arange(0.0, trial.duration, model.opt.timestep)
-    limits = dataclasses.replace(
-        Limits.of_model(model), rates={f"{joint}_joint": RATE for joint in ARM}
-    )
 
     def excess(shape: FloatArray) -> float:
         return limits.excess(model, series.commands(shape, steps))

@@ -82,6 +82,8 @@ def test_some_actuators_may_rest_but_not_all():
     assert problems(Log({"wheel": rests, "elbow": moves})) == []
     lines = problems(Log({"wheel": rests, "other": rests, "tilt": sound()}))
     assert lines == ["wheel, other: no command ever changes"]
+    rests.values[0] = np.nan
+    assert "wheel: no command ever changes" in problems(Log({"wheel": rests, "tilt": sound()}))
 
 
 def test_missing_samples_are_counted():

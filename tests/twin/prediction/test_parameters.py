@@ -161,6 +161,13 @@ def test_bad_parameter_is_refused_in_one_line(pattern, message):
     assert "\n" not in str(caught.value)
 
 
+def test_of_many_parameters_an_error_names_the_closest():
+    with pytest.raises(ModelError, match="joint.hinge.dampin: no such parameter") as caught:
+        select(drawn(), ["joint.hinge.dampin"], {"skin": 40})
+    text = str(caught.value)
+    assert "joint.hinge.damping" in text and len(text) < 300 and "\n" not in text
+
+
 def test_inertia_that_the_model_states_stays_as_it_is():
     """Along axes of its own, as URDF and most published models say it."""
     text = """<mujoco><worldbody><body name="a"><joint name="hinge" axis="0 1 0"/>
