@@ -32,6 +32,9 @@ NOISE = 2.0
 """Chi^2 per sample up to which an error is hardly more than noise."""
 FINE = 5.0
 """Largest shift by finer time steps, in deviations, of a result that is called good."""
+FAR = 4.0
+"""Deviations beforehand beyond which a parameter makes up for something else, or its spread is
+too small."""
 BEGINNINGS = (0.05, 0.1, 0.2, 0.4, 0.7)
 """Shares of the longest run that are fitted one after another where all cannot be explained."""
 SHORTEST = 0.5
@@ -219,6 +222,7 @@ def identify(
         begin = _from_shorter(spec, parameters, logs, start, watch)
         other = fit(predictor, measured, predictor.lowest, watch, begin)
         found = min(found, other, key=lambda each: each.chi_square)
+    found = found.sobered(predictor, measured, predictor.lowest)
     found = _by_finer_steps(found, predictor, spec, parameters, logs, start)
     after = _told(found.information, parameters, found.coordinates)
     seen = Runs(predictor, *predictor(np.vstack([drawn, found.coordinates])))
@@ -230,7 +234,7 @@ def identify(
         _estimates(parameters, found, after),
         seen,
         unseen,
-        _doubts(found, unseen),
+        _doubts(found, unseen, [each.name for each in parameters]),
         drawn_step,
     )
 
@@ -365,7 +369,7 @@ def _unseen(
     return Runs(predictor, *predicted)
 
 
-def _doubts(found: Fit, unseen: Runs | None) -> list[str]:
+def _doubts(found: Fit, unseen: Runs | None, names: Sequence[str]) -> list[str]:
     doubts: list[str] = []
     if not found.converged:
         doubts.append("the fit did not converge")
@@ -378,6 +382,12 @@ def _doubts(found: Fit, unseen: Runs | None) -> list[str]:
             f"time steps of half the length move a parameter by {found.shifted.max():.2g} of its "
             "deviations; say a shorter --step"
         )
+    doubts += [
+        f"{name} is {abs(at):.2g} times as far off as may well be: either that is said too small, "
+        "or it makes up for what the model has not"
+        for name, at in zip(names, found.coordinates.tolist())
+        if abs(at) > FAR
+    ]
     if unseen is None:
         doubts.append("no run was held out to confirm it")
     elif unseen.ratio > CONFIRMED and unseen.chi_square(unseen.tuned) > NOISE:

@@ -34,7 +34,7 @@ UNITS: dict[str, tuple[float, str]] = {
 """What a unit is in SI units, and the name of that one."""
 _ROLES: dict[str, Role] = {"actuators": "actuator", "sensors": "sensor"}
 _Item = TypeVar("_Item")
-_KEYS = {"field", "fields", "unit", "scale", "sign", "delay", "frame", "noise"}
+_KEYS = {"field", "fields", "unit", "scale", "sign", "delay", "frame", "noise", "dead_band"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +50,7 @@ class Source:
         frame: Frame of a vector.
         noise: Standard deviation of a sensor's noise, in the fields' numbers; NaN if not known.
         scale: What one of the fields' numbers is in their unit, such as that of a count.
+        dead_band: Size below which an actuator's command does nothing, in the fields' numbers.
     """
 
     role: Role
@@ -60,6 +61,7 @@ class Source:
     frame: str = ""
     noise: float = math.nan
     scale: float = 1.0
+    dead_band: float = 0.0
 
     def signal(self, fields: Mapping[str, Field]) -> Signal:
         """Return its samples in SI units.
@@ -75,7 +77,7 @@ class Source:
         factor, unit = UNITS[self.unit]
         factor *= self.scale
         signs = np.array(self.signs or [1.0] * len(chosen))
-        values = factor * signs * columns
+        values = factor * signs * np.where(np.abs(columns) < self.dead_band, 0.0, columns)
         noise = factor * self.noise
         return Signal(self.role, stamps - self.delay, values, unit, self.frame, noise)
 
@@ -211,9 +213,16 @@ def _source(where: str, role: Role, entry: Any) -> Source:
     scale = table.get("scale", 1.0)
     if not isinstance(scale, int | float) or not 0.0 < scale < math.inf:
         raise LogError(f"{where}: scale is a number above 0")
+    dead_band = table.get("dead_band", 0.0)
+    if not isinstance(dead_band, int | float) or not 0.0 <= dead_band < math.inf:
+        raise LogError(f"{where}: dead_band is a number, at least 0, as the fields' own are")
+    if dead_band and role == "sensor":
+        raise LogError(f"{where}: dead_band is of an actuator's commands")
     unit = _unit(f"{where}: unit", table.get("unit", ""), None)
     late = _seconds(f"{where}: delay", delay)
-    return Source(role, tuple(names), unit, tuple(signs), late, frame, float(noise), scale)
+    return Source(
+        role, tuple(names), unit, tuple(signs), late, frame, float(noise), scale, dead_band
+    )
 
 
 def _is_list_of(kind: type[_Item], value: Any) -> TypeGuard[list[_Item]]:

@@ -48,6 +48,9 @@ RANGE = 2.0
 DIVERGED = "the model diverges under the commands of the log; is its step too long?"
 USUAL, SPIKE = 0.98, 30.0
 """Share of a channel's samples that are usual, and size over theirs of a derivative that is not."""
+WIDE, STEEP = 1e-3, 1.5
+"""Step of derivatives that look past small jumps of a prediction, and how much larger those of the
+small step are where they fell on one."""
 LAGS = 20
 """Lags by which residuals are compared with themselves."""
 WHITE = 0.01
@@ -178,6 +181,33 @@ class Fit:
     @property
     def _of_noise(self) -> FloatArray:
         return np.linalg.inv(self.information + np.eye(len(self.information))).astype(np.float64)
+
+    def sobered(self, predict: Predict, measured: Measurements, lowest: FloatArray) -> "Fit":
+        """Return the fit without what derivatives claim that fell on a jump of the prediction.
+
+        Where time passes in steps a joint that sticks or slips does so a step sooner or later: the
+        prediction jumps a little at many places, and a derivative across one is large.
+
+        Args:
+            predict: The model.
+            measured: What was measured, with the steps of the derivatives.
+            lowest: (n,) least values of the coordinates.
+        """
+        fine = np.flatnonzero(measured.steps <= COARSE)
+        above = np.repeat(self.coordinates[None], len(fine), axis=0)
+        below = above.copy()
+        above[np.arange(len(fine)), fine] += WIDE
+        below[np.arange(len(fine)), fine] -= WIDE
+        below = np.maximum(below, lowest)
+        found = predict(np.vstack([above, below]))
+        width = (above - below)[np.arange(len(fine)), fine]
+        wide = (found[: len(fine)] - found[len(fine) :]) / width[:, None]
+        wide = wide / measured.sigma / self.spread
+        weighted = self.weighted.copy()
+        for index, row in zip(fine, wide, strict=True):
+            if np.linalg.norm(weighted[:, index]) > STEEP * np.linalg.norm(row):  # never of NaN
+                weighted[:, index] = row
+        return dataclasses.replace(self, information=weighted.T @ weighted, weighted=weighted)
 
     def coloured(self, measured: Measurements) -> "Fit":
         """Return the fit with as much less information as residuals repeat themselves."""

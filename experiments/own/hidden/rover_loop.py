@@ -55,12 +55,14 @@ of their gears' play of 0.5 degrees [rad]; of the wrench, 3 % cross-talk of an a
 TOLD_BY_MOTION = (
     *(f"joint.{joint}_joint.friction" for joint in ARM),
     *(f"body.{NAME}/{link}.mass:0.05" for link in ("turret", "upper_arm", "forearm", "wrist")),
-    *(f"body.{NAME}/{link}.centre_y:0.006" for link in ("upper_arm", "forearm", "wrist")),
+    *(f"body.{NAME}/{link}.centre_[yz]:0.006" for link in ("upper_arm", "forearm", "wrist")),
     "sensor.*force.bias*:0.3",
     "sensor.*torque.bias*:0.03",
 )
+BIASES = tuple(f"sensor.{joint}_joint.position.bias:0.005" for joint in ARM)
+"""Errors of the jig by which the arm is homed [rad]."""
 RESISTANCES = tuple(f"actuator.{joint}.resistance" for joint in ARM)
-PARAMETERS = (*(f"{each}:0.4" for each in RESISTANCES), *TOLD_BY_MOTION, "delay:0.005")
+PARAMETERS = (*(f"{each}:0.4" for each in RESISTANCES), *TOLD_BY_MOTION, *BIASES, "delay:0.005")
 """What is sought: of winding and bridge, of gears and links; and what the sensors add."""
 PERIOD = 0.01
 """Between two commands of the boards' loops [s]."""
@@ -144,13 +146,23 @@ def full_voltage() -> float:
     return card.battery * float(bridge_share(pulse_share(volts, card), card)[0])
 
 
+def dead_band() -> float:
+    """Return the duty below which the bridge passes no pulse on, by that drawing."""
+    card = AmplifierConfig()
+    return card.least_pulse * card.clock_frequency / card.clock_duty
+
+
 def mapping_text() -> str:
     """Return the mapping from a log of the rover to its drawing."""
     lines = ["# Duties are shares of the voltage at full duty."]
     for group, names in (("wheels", [f"{NAME}/{wheel}" for wheel in WHEELS]), ("arm", ARM)):
         for index, name in enumerate(names):
             lines += [f'[actuators."{name}"]', f'field = "/{NAME}/{group}.value[{index}]"']
-            lines += ['unit = "V"', f"scale = {full_voltage():.4f}"]
+            lines += [
+                'unit = "V"',
+                f"scale = {full_voltage():.4f}",
+                f"dead_band = {dead_band():.4f}",
+            ]
     for index, name in enumerate(ARM):
         lines += [f'[sensors."{name}_joint.position"]']
         lines += [f'field = "/{NAME}/arm_angles.value[{index}]"', f"noise = {ENCODER}"]

@@ -104,6 +104,19 @@ def test_robot_that_the_model_does_not_explain_is_not_called_good(tmp_path, caps
     assert "the model does not explain the logs" in out and "good: " not in out.replace("not ", "")
 
 
+def test_a_parameter_far_beyond_what_was_said_of_it_is_doubted(tmp_path, capsys):
+    """Its springs are half as stiff again, and said to be known to a twentieth."""
+
+    def stiffen(spec):
+        spec.joint("root").stiffness[0] *= 1.5
+
+    write_runs(tmp_path, "cart", 3.0, stiffen)
+    words = ["--log", f"{tmp_path}/a.csv", "--hold-out", f"{tmp_path}/b.csv", "--parameters"]
+    assert identify(tmp_path, "cart", *words, "delay", "joint.root.stiffness:0.05") == 1
+    assert "not good joint.root.stiffness is 8.1 times as far off" in capsys.readouterr().out
+    assert identify(tmp_path, "cart", *words, "delay", "joint.root.stiffness:0.3") == 0
+
+
 def test_nothing_is_good_without_a_run_held_out(tmp_path, capsys):
     write_runs(tmp_path, "cart", 3.0, lambda spec: None, "a")
     words = ["--log", f"{tmp_path}/a.csv", "--parameters", "joint.*.stiffness", "delay"]

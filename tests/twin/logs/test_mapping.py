@@ -27,6 +27,12 @@ def test_a_full_turn_is_the_same_in_every_unit():
         assert signal.unit == "rad"
 
 
+def test_commands_within_the_dead_band_do_nothing():
+    field = Field(np.arange(4.0), np.array([-0.03, -0.01, 0.019, 0.02]))
+    source = Source("actuator", ("duty",), "V", (-1,), scale=12.0, dead_band=0.02)
+    np.testing.assert_allclose(source.signal({"duty": field}).values[:, 0], [0.36, 0, 0, -0.24])
+
+
 def mapping_of(tmp_path, text):
     path = tmp_path / "map.toml"
     path.write_text(text)
@@ -38,7 +44,7 @@ def test_the_example_of_the_docs_is_one(tmp_path):
     (text,) = re.findall(r"^```toml\n(time = .*?)^```$", page, re.MULTILINE | re.DOTALL)
     mapping = mapping_of(tmp_path, text)
     assert mapping.sources["shoulder"] == Source(
-        "actuator", ("/commands.data[1]",), "N m", (1,), pytest.approx(0.004)
+        "actuator", ("/commands.data[1]",), "N m", (1,), pytest.approx(0.004), dead_band=0.02
     )
     assert mapping.sources["tilt"].signs == (-1, 1)
     assert (mapping.time, mapping.time_unit) == ("t", "ms")
@@ -65,7 +71,9 @@ def test_the_example_of_the_docs_is_one(tmp_path):
         ("[sensors.a]\nfield = 'x'\ndelay = '4 m'", "delay 'm': expected one of s, ms"),
         ("[sensors.a]\nfield = 'x'\ndelay = 'long'", "delay 'long': expected seconds"),
         ("[sensors.a]\nfield = 'x'\nframe = 1", "frame is a name"),
-        ("[sensors.a]\nfield = 'x'\nfactor = 1", "sensors.a: expected some of delay, field"),
+        ("[sensors.a]\nfield = 'x'\nfactor = 1", "sensors.a: expected some of dead_band, delay"),
+        ("[sensors.a]\nfield = 'x'\ndead_band = 1", "dead_band is of an actuator's commands"),
+        ("[actuators.a]\nfield = 'x'\ndead_band = -1", "dead_band is a number, at least 0"),
         ("time_unit = 'deg'\n[sensors.a]\nfield = 'x'", "time_unit 'deg': expected one of s"),
         ("episode = 'x'\n[sensors.a]\nfield = 'x'", "episode a whole number"),
         ("[sensors.a]\nfield = 'x'\n[actuators.a]\nfield = 'y'", "a is both an actuator"),

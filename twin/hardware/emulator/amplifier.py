@@ -253,9 +253,6 @@ def motor_volts(
 ) -> FloatArray:
     """Return the mean voltages (8,) between the motors' terminals [V].
 
-    This is what a simulated motor of the same resistance and constant must be given, at these
-    speeds, to have the current of `motor_current`.
-
     Args:
         codes: (8,) signed converter codes.
         speeds: (8,) shaft speeds [rad/s].
@@ -265,3 +262,24 @@ def motor_volts(
     current = motor_current(codes, speeds, config, limit)
     emf = np.array(config.motor_constant) * np.asarray(speeds, dtype=float)
     return emf + np.array(config.motor_resistance) * current
+
+
+def supplied_volts(
+    codes: ArrayLike,
+    speeds: ArrayLike,
+    config: AmplifierConfig,
+    limit: ArrayLike | None = None,
+) -> FloatArray:
+    """Return the mean voltages (8,) across each motor and its two switches [V].
+
+    They do not depend on the speeds but where the current is limited: so a simulated motor that has
+    the switches' resistance as well brakes as it should between two calls, too.
+
+    Args:
+        codes: (8,) signed converter codes.
+        speeds: (8,) shaft speeds [rad/s].
+        config: The card.
+        limit: (8,) or one largest current [A]; the peak current unless given.
+    """
+    current = motor_current(codes, speeds, config, limit)
+    return motor_volts(codes, speeds, config, limit) + 2.0 * config.switch_resistance * current

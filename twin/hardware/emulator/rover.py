@@ -14,7 +14,7 @@ from twin.hardware.emulator.amplifier import (
     converter_codes,
     current_limit,
     motor_current,
-    motor_volts,
+    supplied_volts,
 )
 from twin.robot import AXES, Channel, Command
 from twin.sensors import DATASHEET, IDEAL, ChannelSpec, SensorSuite
@@ -75,6 +75,9 @@ class EmulatedRover:
         joints = [model.joint(f"{robot.name}/{axis}_joint") for axis in AXES]
         self._positions = np.array([int(joint.qposadr[0]) for joint in joints])
         self._velocities = np.array([int(joint.dofadr[0]) for joint in joints])
+        for axis in AXES:  # A motor's current flows through two switches of its bridge.
+            resistance = model.actuator(f"{robot.name}/{axis}").gainprm
+            resistance[0] += 2.0 * self._config.switch_resistance
         self._high_time = np.zeros(8)
         self.currents = np.zeros(8)
         robot.activate()
@@ -100,7 +103,7 @@ class EmulatedRover:
         self.currents = motor_current(codes, speeds, config, limit)
         high = np.abs(self.currents) >= 0.999 * config.continuous_current
         self._high_time = np.where(high, self._high_time + period, 0.0)
-        volts = motor_volts(codes, speeds, config, limit)
+        volts = supplied_volts(codes, speeds, config, limit)
         duty = np.clip(volts / self._config.battery, -1.0, 1.0)
         self._robot.command(Command(duty[:4], duty[4:]))
 

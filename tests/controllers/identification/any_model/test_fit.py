@@ -111,6 +111,24 @@ def test_jump_of_one_sample_is_no_information(side):
     assert information[0, 0] == pytest.approx(expected, rel=1e-3)
 
 
+def test_a_small_jump_beside_the_point_is_not_taken_for_information():
+    """Of the third coordinate nothing is told, but a derivative falls on a jump of 1e-4."""
+    generator = np.random.default_rng(8)
+    matrix = np.column_stack([generator.normal(size=(40, 2)), np.zeros(40)])
+    values = matrix @ [0.4, -1.2, 0.0] + generator.standard_normal(40)
+
+    def predict(x):
+        return x @ matrix.T + 1e-4 * (x[:, 2:] > 5e-5)
+
+    seen = measured(values, np.ones(40))
+    found = fit(predict, seen, OPEN)
+    sober = found.sobered(predict, seen, OPEN)
+    assert found.covariance[2, 2] < 0.05
+    assert sober.covariance[2, 2] > 0.9
+    smooth = fit(linear(matrix), seen, OPEN)
+    np.testing.assert_allclose(np.diag(sober.covariance), np.diag(smooth.covariance), rtol=0.1)
+
+
 def test_fit_is_moved_to_what_a_better_prediction_gives_and_counts_the_way():
     """A linear model and its offset: a fit of the offset model itself ends at the same point."""
     generator = np.random.default_rng(6)
