@@ -16,6 +16,7 @@ BENCHMARKS: dict[str, str] = {
     "braid": "experiments.bench.braid:bench_braid",
     "scaling": "experiments.bench.scaling:bench_scaling",
     "mission": "experiments.bench.mission:bench_mission",
+    "logs": "experiments.bench.logs:bench_logs",
 }
 """Module and function ``(options, output)`` of each benchmark, imported only when it is run."""
 

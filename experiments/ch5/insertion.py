@@ -27,6 +27,7 @@ from experiments.ch5.insertion_setting import NOISE_DB, InsertionTrial
 from experiments.ch5.insertion_trial import InsertionOutcome, run_trial
 from experiments.harness.intervals import Distribution, distribution, mcnemar, success_fraction
 from experiments.harness.output import Output
+from experiments.harness.recording import RunFiles
 from experiments.harness.sweep import sweep
 from models.card_and_slot.guides import width_of
 from models.datasheets import CARD_AND_SLOT, CARD_GUIDE, INCH
@@ -190,7 +191,7 @@ def _show(
     # A failure that got as far as touching shows more than one that saw nothing.
     failed = [(r.gap, j) for j, r in hard if not j.optimal and not r.success]
     if good is not None:
-        film = film_trial(good, output.file("run.rrd") if options.record else None)
+        film = film_trial(good, RunFiles.of(options, output))
         output.figure("figure_5-11", draw_steps(film.steps()))
         output.figure("figure_5-12", draw_pairs(film.pairs))
         output.figure("figure_5-13", draw_course(film.course, "Optimal placement"))

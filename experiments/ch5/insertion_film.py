@@ -14,7 +14,7 @@ from experiments.ch5.insertion_scene import MASTER
 from experiments.ch5.insertion_setting import InsertionTrial, Setting, prepare
 from experiments.ch5.insertion_trial import perform
 from experiments.ch5.task_film import InsertionLog, insertion_views, scene_picture
-from experiments.harness.recording import write_gif
+from experiments.harness.recording import RunFiles, write_gif
 from models.card_and_slot.stand import OVERVIEW
 from perception.geometry.arrays import FloatArray, ImageArray
 from perception.markers.poses import BodyFit
@@ -103,23 +103,26 @@ class _Curves(LoopRecorder):
         self._log.add(inserter, phase, *self._team.slave.failed)
 
 
-def film_trial(trial: InsertionTrial, recording: Path | None) -> Film:
+def film_trial(trial: InsertionTrial, files: RunFiles) -> Film:
     """Run a trial again and film it.
 
     Args:
         trial: Settings of the trial.
-        recording: File of a recording for the rerun viewer; None for none.
+        files: What else of it is written.
     """
     setting = prepare(dataclasses.replace(trial, trace=True))
     film = Film(setting)
     recorders: list[LoopRecorder] = [film]
     with contextlib.ExitStack() as stack:
         stack.callback(setting.simulation.close)
-        if recording is not None:
+        recorders += stack.enter_context(files.logged(None))
+        if files.recording:
             errors = rrb.TimeSeriesView(origin="insertion/error", name="Error as seen")
             views = [errors, *insertion_views("insertion")]
             layout = task_blueprint(MASTER, (1.3, -1.5, 0.9), (0.1, -0.2, 0.25), views)
-            recorder = Recorder(recording, setting.simulation.robots, setting.simulation, layout)
+            recorder = Recorder(
+                files.recording, setting.simulation.robots, setting.simulation, layout
+            )
             recorders += [stack.enter_context(recorder), _Curves(recorder, setting)]
         film.course = perform(setting, recorders).course
     return film

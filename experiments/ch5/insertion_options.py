@@ -12,7 +12,7 @@ PARTS = ("table", "impossible", "noise", "faults", "guides")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.RepeatedOptions, contract.RecordedOptions):
+class Options(contract.RepeatedOptions, contract.LoggedOptions):
     """Options of ch5-insertion.
 
     Attributes:

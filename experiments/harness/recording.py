@@ -15,7 +15,7 @@ from PIL import Image
 from experiments.harness.contract import LoggedOptions
 from experiments.harness.output import Output
 from perception.geometry.arrays import FloatArray
-from twin.connect import Connection
+from twin.connect import Connection, ConnectionSettings
 from twin.logs.writing import LogWriter
 from twin.loop import LoopRecorder
 from twin.recording.record import Recorder
@@ -44,18 +44,22 @@ class RunFiles:
         return bool(self.recording or self.log)
 
     @contextlib.contextmanager
-    def logged(self, connection: Connection) -> Iterator[list[LoopRecorder]]:
-        """Yield what writes the log, if there is to be one."""
+    def logged(self, settings: ConnectionSettings | None) -> Iterator[list[LoopRecorder]]:
+        """Yield what writes the log, if there is to be one.
+
+        Args:
+            settings: How the robots were connected; None for a scene that no settings describe.
+        """
         if not self.log:
             yield []
             return
-        with LogWriter(Path(self.log), connection.settings) as writer:
+        with LogWriter(Path(self.log), settings) as writer:
             yield [writer]
 
     @contextlib.contextmanager
     def written(self, connection: Connection) -> Iterator[list[LoopRecorder]]:
         """Yield what writes both, the recording in its usual layout."""
-        with self.logged(connection) as recorders:
+        with self.logged(connection.settings) as recorders:
             if not self.recording:
                 yield recorders
                 return

@@ -202,5 +202,5 @@ def film_mission(trial: MissionTrial, files: RunFiles) -> Filmed:
             recorders.append(film)
         if files.recording:
             recorders.append(stack.enter_context(recorded(mission, Path(files.recording))))
-        recorders += stack.enter_context(files.logged(mission.connection))
+        recorders += stack.enter_context(files.logged(mission.connection.settings))
         return Filmed(perform(mission, recorders), pictures.steps, film)

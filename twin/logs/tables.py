@@ -52,8 +52,12 @@ def read_csv(path: Path, time: str, time_unit: float) -> dict[str, Field]:
     times = 1e-9 * np.round(1e9 * time_unit * stamps)  # as all other formats have them
     for name, values in numbers.items():
         if values is not None:
+            column = table.column(name)
+            if not column.null_count:
+                fields[name] = Field(times, values)
+                continue
             # An empty cell is no sample: tables join what was sampled at other times.
-            there = table.column(name).is_valid().to_numpy()
+            there = column.is_valid().to_numpy()
             fields[name] = Field(times[there], values[there])
     return fields
 

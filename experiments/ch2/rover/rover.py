@@ -217,7 +217,7 @@ def record_run(options: Options, files: RunFiles) -> None:
             stereo=StereoConfig(),
             seed=options.seed,
         ) as connection,
-        files.logged(connection) as recorders,
+        files.logged(connection.settings) as recorders,
         contextlib.ExitStack() as stack,
     ):
         if files.recording:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from controllers.mapping.stereo_mapper import StereoMapper
 from controllers.mapping.stereo_view import StereoView
 from experiments.ch3.stereo.trial import MappingTrial, map_scene
-from experiments.harness.recording import recording, viridis
+from experiments.harness.recording import RunFiles, recording, viridis
 from perception.voxels.map import VoxelMap
 from twin.recording.layout import scene_view, side_by_side
 
@@ -20,18 +20,20 @@ _SHOWN = 40_000
 _QUALITY = 60
 
 
-def record_map(trial: MappingTrial, path: Path) -> VoxelMap:
+def record_map(trial: MappingTrial, files: RunFiles) -> VoxelMap:
     """Map a scene and write it: points by probability, cameras, candidates, images and curves.
 
     Args:
         trial: Scene and method.
-        path: File to write, ``.rrd``.
+        files: What to write.
 
     Returns:
         The map.
     """
+    if not files.recording:
+        return map_scene(trial, files=files).mapper.shared.voxels
     rng = np.random.default_rng(0)
-    with recording(path, _blueprint()) as stream:
+    with recording(Path(files.recording), _blueprint()) as stream:
         stream.log("map", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
         def take(mapper: StereoMapper, view: StereoView, share: float) -> None:
@@ -46,7 +48,7 @@ def record_map(trial: MappingTrial, path: Path) -> VoxelMap:
             for name, value in (("share", share), ("points", len(cells)), ("fiducials", fiducials)):
                 stream.log(f"curves/{name}", rr.Scalars(value))
 
-        return map_scene(trial, take).mapper.shared.voxels
+        return map_scene(trial, take, files).mapper.shared.voxels
 
 
 def _log_map(stream: rr.RecordingStream, mapper: StereoMapper, rng: np.random.Generator) -> None:

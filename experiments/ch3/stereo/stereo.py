@@ -23,6 +23,7 @@ from experiments.ch3.stereo.trial import MappingRun, MappingTrial, run_trial
 from experiments.harness.contract import ExperimentError
 from experiments.harness.intervals import distribution, fraction
 from experiments.harness.output import Output
+from experiments.harness.recording import RunFiles
 from experiments.harness.sweep import sweep
 from perception.voxels.files import export_mesh, export_points
 
@@ -93,9 +94,10 @@ def measure_mapping(options: Options, output: Output) -> None:
     _compare(curves, runs["information"], output)
     output.figure("figure_3-25", growth_figure(curves))
     _show(dict(zip(methods, results, strict=False)), seeds[0], output)
-    if options.record:
+    files = RunFiles.of(options, output)
+    if files:
         trial = MappingTrial(seeds[0], "information", scans, robot=options.robot)
-        voxels = record_map(trial, output.file("run.rrd"))
+        voxels = record_map(trial, files)
         if len(voxels.surface().means):  # Else no robot has found the target.
             export_points(voxels, output.file("map_points.ply"))
             export_mesh(voxels, output.file("map_mesh.stl"))

@@ -12,7 +12,7 @@ PARTS = ("noise", "motion", "mapping", "cooperation")
 
 
 @dataclasses.dataclass(frozen=True)
-class Options(contract.RepeatedOptions, contract.RecordedOptions):
+class Options(contract.RepeatedOptions, contract.LoggedOptions):
     """Options of stereo mapping.
 
     Attributes:
@@ -39,5 +39,6 @@ class Options(contract.RepeatedOptions, contract.RecordedOptions):
         contract.check_count("scans", self.scans)
         if self.robot != "sim" and self.parts and "mapping" not in self.parts:
             raise OptionError(f"--robot {self.robot}: add mapping to --parts; the others need none")
-        if self.record and self.parts and "mapping" not in self.parts:
-            raise OptionError("--record shows the map: add mapping to --parts")
+        for name in ("record", "log"):
+            if getattr(self, name) and self.parts and "mapping" not in self.parts:
+                raise OptionError(f"--{name} is of the mapping: add mapping to --parts")

@@ -14,6 +14,7 @@ from controllers.mapping.stereo_view import MapperConfig, StereoView
 from experiments.ch3.stereo.figures import panorama
 from experiments.ch3.stereo.scene import StereoScene
 from experiments.ch3.stereo.truth import mapped_share, pose_errors, surface_errors, true_surface
+from experiments.harness.recording import NO_FILES, RunFiles
 from perception.geometry.arrays import FloatArray
 from perception.geometry.pinhole import StereoCalibration
 from perception.registration.target import TargetCad
@@ -152,7 +153,9 @@ def _shown(mapper: StereoMapper, robots: Sequence[str]) -> Shown:
 
 
 def map_scene(
-    trial: MappingTrial, on_view: Callable[[StereoMapper, StereoView, float], None] | None = None
+    trial: MappingTrial,
+    on_view: Callable[[StereoMapper, StereoView, float], None] | None = None,
+    files: RunFiles = NO_FILES,
 ) -> Scored:
     """Let two rovers map a scene.
 
@@ -160,6 +163,7 @@ def map_scene(
         trial: Scene and method.
         on_view: Called after each view with the mapper, the view and the share of the true surface
             that is mapped by now, for recording.
+        files: Of these the log is written.
     """
     scene = StereoScene(trial.seed)
     how = MapperConfig(method=trial.method, scans=trial.scans)
@@ -187,14 +191,15 @@ def map_scene(
         robots = {name: _drawn(scene, name, mount) for name in scene.robot_names}
         mapper = StereoMapper(robots, shared, how, plan, score)
         witness = Witness(connection)
-        run_loop(
-            connection.robots,
-            [mapper],
-            connection.clock,
-            [witness],
-            duration=LONGEST,
-            until=lambda: mapper.done,
-        )
+        with files.logged(connection.settings) as recorders:
+            run_loop(
+                connection.robots,
+                [mapper],
+                connection.clock,
+                [witness, *recorders],
+                duration=LONGEST,
+                until=lambda: mapper.done,
+            )
     to_map = named_frame(mapper.shared, scene)
     cameras = {key: to_map * pose for key, pose in witness.cameras.items()}
     level = level_target(scene.transform_panel_to_world) * scene.transform_panel_to_world.inv()

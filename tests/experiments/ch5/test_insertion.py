@@ -16,6 +16,7 @@ from experiments.ch5.insertion_trial import COURSE, STAGES, run_trial
 from experiments.harness.contract import OptionError
 from experiments.harness.output import Output
 from models.datasheets import CARD_AND_SLOT
+from twin.logs.mapping import read_log
 
 STRIKE = 25.0
 """Largest contact force of a card in a slot that is too narrow for it [N].
@@ -67,7 +68,7 @@ def test_quick_run_inserts_at_the_narrowest_slot_and_writes_everything(tmp_path)
 
 def quick_run_inserts(out, seed):
     """Hold a quick run to what any course gives, and return whether a well-watched card got in."""
-    options = ch5_insertion.Options(quick=True, seed=seed, jobs=1, out=out)
+    options = ch5_insertion.Options(quick=True, seed=seed, jobs=1, out=out, log=True)
     output = Output("ch5-insertion", options)
     ch5_insertion.run(options, output)
     output.finish()
@@ -95,6 +96,9 @@ def quick_run_inserts(out, seed):
         frames = [
             np.asarray(frame.convert("L"), float) for frame in PIL.ImageSequence.Iterator(film)
         ]
+    signals = read_log(folder / "run.mcap").signals
+    assert {"rover1/arm", "rover2/arm", "rover2/arm_base_wrench"} <= set(signals)
+    assert np.ptp(signals["rover2/arm_angles"].values, axis=0).max() > 0.1
     # The card moves, in a picture that is more than one colour.
     assert len(frames) > 5 and min(frame.std() for frame in frames) > 5.0
     assert np.abs(frames[-1] - frames[0]).max() > 30.0

@@ -17,6 +17,7 @@ from experiments.ch3.stereo.truth import mapped_share, surface_errors, true_surf
 from perception.voxels.grid import VoxelGrid
 from perception.voxels.map import Surface, VoxelMap
 from perception.voxels.occupancy import State
+from twin.logs.mapping import read_log
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +80,7 @@ def test_quick_run_of_the_mapping_writes_figures_recording_points_and_mesh(tmp_p
         return scored
 
     monkeypatch.setattr(record, "map_scene", map_and_keep)
-    words = ["ch3-stereo", "--parts", "mapping", "--quick", "--scans", "1", "--record"]
+    words = ["ch3-stereo", "--parts", "mapping", "--quick", "--scans", "1", "--record", "--log"]
     assert main([*words, "--jobs", "1", "--out", str(tmp_path)]) == 0
     folder = tmp_path / "ch3-stereo"
     measured = json.loads((folder / "metrics.json").read_text())["measured"]
@@ -88,6 +89,10 @@ def test_quick_run_of_the_mapping_writes_figures_recording_points_and_mesh(tmp_p
     names = {path.name for path in (folder / "figures").iterdir()}
     assert {"figure_3-22.png", "figure_3-25.png", "figure_3-27a.png", "figure_3-27b.png"} <= names
     assert (folder / "run.rrd").stat().st_size > 100_000
+    signals = read_log(folder / "run.mcap").signals
+    # Both heads looked elsewhere before their views.
+    for robot in ("rover1", "rover2"):
+        assert np.ptp(signals[f"{robot}/arm_angles"].values, axis=0).max() > 0.1
     (voxels,) = maps
     surface = voxels.surface()
     cloud = trimesh.load(folder / "map_points.ply")
