@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from controllers.identification.information import mutual_information
-from perception.geometry.arrays import BoolArray, FloatArray
+from perception.geometry.arrays import BoolArray, FloatArray, IntArray
 
 Predict = Callable[[FloatArray], FloatArray]
 """From (m, n) coordinates to (m, r) predictions; NaN where they cannot be made."""
@@ -48,9 +48,11 @@ RANGE = 2.0
 DIVERGED = "the model diverges under the commands of the log; is its step too long?"
 USUAL, SPIKE = 0.98, 30.0
 """Share of a channel's samples that are usual, and size over theirs of a derivative that is not."""
-WIDE, STEEP = 1e-3, 1.5
-"""Step of derivatives that look past small jumps of a prediction, and how much larger those of the
-small step are where they fell on one."""
+WIDE, LINEAR = 1e-2, 3.0
+"""Step of derivatives that look past small jumps of a prediction, or a tenth or ten times of it,
+and by how much it may change the prediction, in deviations of the noise."""
+STEEP = 1.5
+"""How much larger a derivative of the small step is where it fell on a jump."""
 LAGS = 20
 """Lags by which residuals are compared with themselves."""
 WHITE = 0.01
@@ -186,28 +188,47 @@ class Fit:
         """Return the fit without what derivatives claim that fell on a jump of the prediction.
 
         Where time passes in steps a joint that sticks or slips does so a step sooner or later: the
-        prediction jumps a little at many places, and a derivative across one is large.
+        prediction jumps a little at many places, and a derivative across one is large. So each is
+        taken as well over the widest step that changes the prediction by `LINEAR` at most.
 
         Args:
             predict: The model.
             measured: What was measured, with the steps of the derivatives.
             lowest: (n,) least values of the coordinates.
         """
-        fine = np.flatnonzero(measured.steps <= COARSE)
-        above = np.repeat(self.coordinates[None], len(fine), axis=0)
-        below = above.copy()
-        above[np.arange(len(fine)), fine] += WIDE
-        below[np.arange(len(fine)), fine] -= WIDE
-        below = np.maximum(below, lowest)
-        found = predict(np.vstack([above, below]))
-        width = (above - below)[np.arange(len(fine)), fine]
-        wide = (found[: len(fine)] - found[len(fine) :]) / width[:, None]
-        wide = wide / measured.sigma / self.spread
         weighted = self.weighted.copy()
-        for index, row in zip(fine, wide, strict=True):
-            if np.linalg.norm(weighted[:, index]) > STEEP * np.linalg.norm(row):  # never of NaN
-                weighted[:, index] = row
+        columns = np.flatnonzero(measured.steps <= COARSE)
+        widths = np.full(len(columns), WIDE)
+        for _ in range(2):
+            rows = self._across(predict, measured, lowest, columns, widths)
+            changes = widths * np.linalg.norm(rows, axis=1)
+            for index, row, change in zip(columns, rows, changes, strict=True):
+                steep = np.linalg.norm(weighted[:, index]) > STEEP * np.linalg.norm(row)
+                if change <= LINEAR and steep:  # neither of NaN
+                    weighted[:, index] = row
+            wider = 10.0 * changes <= LINEAR
+            again = wider | ~(changes <= LINEAR)
+            widths = np.where(wider, 10.0, 0.1)[again] * widths[again]
+            columns = columns[again]
         return dataclasses.replace(self, information=weighted.T @ weighted, weighted=weighted)
+
+    def _across(
+        self,
+        predict: Predict,
+        measured: Measurements,
+        lowest: FloatArray,
+        columns: IntArray,
+        widths: FloatArray,
+    ) -> FloatArray:
+        """Return weighted derivatives (m, r) by some coordinates over steps to both sides."""
+        steps = np.zeros((len(columns), len(lowest)))
+        steps[np.arange(len(columns)), columns] = widths
+        above = self.coordinates + steps
+        below = np.maximum(self.coordinates - steps, lowest)
+        found = predict(np.vstack([above, below]))
+        apart = np.sum(above - below, axis=1)[:, None]
+        rows = (found[: len(columns)] - found[len(columns) :]) / apart
+        return (rows / measured.sigma / self.spread).astype(np.float64)
 
     def coloured(self, measured: Measurements) -> "Fit":
         """Return the fit with as much less information as residuals repeat themselves."""

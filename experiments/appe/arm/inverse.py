@@ -33,8 +33,8 @@ from experiments.harness.sweep import concatenated, seeded_chunks, sweep
 Results = dict[str, Solved]
 
 STAGES = (5, 10, 20)
-PLANTED, QUICK_PLANTED = 100, 20
-SCENES, QUICK_SCENES = 200, 20
+PLANTED, QUICK_PLANTED = 100, 8
+SCENES, QUICK_SCENES = 200, 8
 CHUNK = 50
 """Number of targets in a job."""
 EXACT, PLANTED_COST = 1e-9, 1e-9
@@ -59,7 +59,7 @@ def run(options: Options, output: Output) -> None:
     """Solve all targets, then the scenes.
 
     Args:
-        options: ``quick`` takes 20 targets of each kind and 20 scenes.
+        options: ``quick`` takes 20 targets of each kind, 8 of the planted, and 8 scenes.
         output: Receives ``<cost, displacement, angle_deg or ms>/<kind>/<stages>/<method>``,
             ``exact_match_fraction/5``, ``planted_recovered_fraction/10``,
             ``ms_per_target/<stages>``, ``cost_ratio_over_exchange/20`` and
