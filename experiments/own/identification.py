@@ -388,6 +388,12 @@ def _doubts(found: Fit, unseen: Runs | None, names: Sequence[str]) -> list[str]:
         for name, at in zip(names, found.coordinates.tolist())
         if abs(at) > FAR
     ]
+    doubts += [
+        f"what is predicted jumps beside the {names[index]} that was found, where something sticks "
+        "or slips: its band means nothing"
+        for index in found.edges
+        if index < len(names)
+    ]
     if unseen is None:
         doubts.append("no run was held out to confirm it")
     elif unseen.ratio > CONFIRMED and unseen.chi_square(unseen.tuned) > NOISE:

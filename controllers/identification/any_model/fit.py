@@ -144,6 +144,8 @@ class Fit:
         spread: (r,) deviation of as much noise as the residuals say, over that of `Measurements`.
         weighted: (r, n) derivatives of the predictions, over that deviation.
         shift: (n,) by which a better prediction moved the point; zero unless `moved`.
+        edges: Coordinates beside which the prediction jumps by more than the noise, so that their
+            deviations mean nothing; none unless `sobered`.
     """
 
     coordinates: FloatArray
@@ -155,6 +157,7 @@ class Fit:
     spread: FloatArray
     weighted: FloatArray
     shift: FloatArray
+    edges: tuple[int, ...] = ()
 
     @property
     def chi_square(self) -> float:
@@ -196,21 +199,29 @@ class Fit:
             measured: What was measured, with the steps of the derivatives.
             lowest: (n,) least values of the coordinates.
         """
-        weighted = self.weighted.copy()
+        weighted, edges = self.weighted.copy(), set[int]()
         columns = np.flatnonzero(measured.steps <= COARSE)
         widths = np.full(len(columns), WIDE)
         for _ in range(2):
             rows = self._across(predict, measured, lowest, columns, widths)
             changes = widths * np.linalg.norm(rows, axis=1)
-            for index, row, change in zip(columns, rows, changes, strict=True):
+            for index, row, change in zip(columns.tolist(), rows, changes, strict=True):
                 steep = np.linalg.norm(weighted[:, index]) > STEEP * np.linalg.norm(row)
-                if change <= LINEAR and steep:  # neither of NaN
+                edges.discard(index)
+                if steep and change > LINEAR:  # neither of NaN
+                    edges.add(index)
+                elif steep:
                     weighted[:, index] = row
             wider = 10.0 * changes <= LINEAR
             again = wider | ~(changes <= LINEAR)
             widths = np.where(wider, 10.0, 0.1)[again] * widths[again]
             columns = columns[again]
-        return dataclasses.replace(self, information=weighted.T @ weighted, weighted=weighted)
+        return dataclasses.replace(
+            self,
+            information=weighted.T @ weighted,
+            weighted=weighted,
+            edges=tuple(sorted(edges)),
+        )
 
     def _across(
         self,

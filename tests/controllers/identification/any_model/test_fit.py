@@ -125,8 +125,25 @@ def test_a_small_jump_beside_the_point_is_not_taken_for_information():
     sober = found.sobered(predict, seen, OPEN)
     assert found.covariance[2, 2] < 0.05
     assert sober.covariance[2, 2] > 0.9
+    assert not sober.edges
     smooth = fit(linear(matrix), seen, OPEN)
     np.testing.assert_allclose(np.diag(sober.covariance), np.diag(smooth.covariance), rtol=0.1)
+
+
+def test_a_jump_that_no_noise_hides_is_told():
+    """Past it the third coordinate moves all samples by two deviations of their noise."""
+    generator = np.random.default_rng(8)
+    matrix = np.column_stack([generator.normal(size=(40, 2)), np.zeros(40)])
+    values = matrix @ [0.4, -1.2, 0.0] + generator.standard_normal(40)
+
+    def predict(x):
+        return x @ matrix.T + 2.0 * (x[:, 2:] > 5e-5)
+
+    seen = measured(values, np.ones(40))
+    assert fit(predict, seen, OPEN).sobered(predict, seen, OPEN).edges == (2,)
+    strong = linear(1e4 * matrix)
+    told = fit(strong, measured(1e4 * values, np.ones(40)), OPEN)
+    assert not told.sobered(strong, measured(1e4 * values, np.ones(40)), OPEN).edges
 
 
 def test_fit_is_moved_to_what_a_better_prediction_gives_and_counts_the_way():
