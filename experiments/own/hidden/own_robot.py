@@ -34,8 +34,8 @@ RESAMPLES = 2000
 Motion = Literal["designed", "chirp", "random"]
 MOTIONS: tuple[Motion, ...] = ("designed", "chirp", "random")
 _ROVERS = 7  # Stream of random numbers of an experiment's seed.
-COMPARED_DURATION = 2.5
-"""Longest run that is compared in several formats [s]."""
+COMPARED_DURATION, QUICK_COMPARED = 2.5, 1.0
+"""Longest runs that are compared in several formats [s]."""
 SAME, SAME_SINGLE = 1e-9, 1e-4
 COVERED, FALSE, NAMED, MISNAMED = (0.92, 0.98), 0.01, 1.0, 0.02
 OVER_CHIRP, OVER_RANDOM, OVER_PEER, HELD_OUT, DELAY = 0.25, 0.5, 1.05, 0.2, 0.5
@@ -106,7 +106,8 @@ def _rovers(options: Options, output: Output) -> list[RobotResult]:
 
 def _formats(options: Options, output: Output) -> None:
     """Identify one robot of each kind from the same run in several formats."""
-    duration = min(options.duration, COMPARED_DURATION)
+    longest = QUICK_COMPARED if options.quick else COMPARED_DURATION
+    duration = min(options.duration, longest)
     trials = [FormatTrial(kind, duration, options.seed) for kind in options.robots]
     found = sweep(compared, trials, options, output, label="formats")
     agree = [each.csv <= SAME and each.lerobot <= SAME_SINGLE for each in found]
