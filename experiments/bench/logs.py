@@ -25,7 +25,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
@@ -159,7 +159,7 @@ def _write_bag(storage: StoragePlugin, log: Log, path: Path) -> None:
 
 def _decode_mcap(path: Path) -> None:
     with path.open("rb") as stream:
-        for _, _, message in make_reader(stream).iter_messages(log_time_order=False):
+        for _, _, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
             json.loads(message.data)
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from mcap.reader import make_reader
+from mcap.reader import NonSeekingReader
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -102,7 +102,9 @@ def read_mcap(path: Path) -> dict[str, Field]:
     notes: dict[str, Mapping[str, str]] = {}
     decoders: dict[int, Callable[[bytes], Any] | None] = {}
     with path.open("rb") as stream:
-        for schema, channel, message in make_reader(stream).iter_messages(log_time_order=False):
+        # The other reader holds all messages of a file at once, whatever their order.
+        messages = NonSeekingReader(stream).iter_messages(log_time_order=False)
+        for schema, channel, message in messages:
             if channel.id not in decoders:
                 kind = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
                 decoders[channel.id] = _decoder(channel.message_encoding, *kind)

@@ -95,6 +95,23 @@ def test_small_file_that_unpacks_to_much_is_refused(tmp_path, monkeypatch, kind)
     np.zeros(60_000_000)  # and it can be taken again
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone limits memory")
+def test_a_log_is_read_piece_by_piece(tmp_path, monkeypatch):
+    """200 MB of messages, of which the numbers take 2 MB."""
+    monkeypatch.setattr(files, "LOG_MEMORY", 100 * 2**20)
+    path = tmp_path / "run.mcap"
+    words = "x" * 10_000
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        topic = writer.register_channel("/x", "json", 0)
+        for tick in range(20_000):
+            message = {"data": tick, "words": words}
+            writer.add_message(topic, tick, json.dumps(message).encode(), tick)
+        writer.finish()
+    np.testing.assert_array_equal(read_fields(path)["/x.data"].values, np.arange(20_000.0))
+
+
 def test_images_clouds_and_words_take_no_columns(tmp_path):
     path = tmp_path / "run.mcap"
     with path.open("wb") as stream:
