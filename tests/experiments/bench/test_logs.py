@@ -28,8 +28,9 @@ def test_a_log_that_is_cut_short_is_no_result(tmp_path):
         logs._read(2.0, path)
 
 
-def test_a_process_of_its_own_tells_its_memory(tmp_path):
+def test_a_process_of_its_own_tells_its_own_memory_alone(tmp_path):
+    held = np.ones(150_000_000)
     path = tmp_path / "run.csv"
     logs.FORMATS["csv"].write(logs._log(1.0, np.random.default_rng(0)), path)
     seconds, memory = logs._in_own_process(logs.FORMATS["csv"].read_alone, path)
-    assert 0.0 < seconds < 60.0 and 2e7 < memory < 1e9
+    assert seconds > 0.0 and 2e7 < memory < held.nbytes
