@@ -8,6 +8,7 @@ import pytest
 from models.as_made import AsMade
 from models.compose import FLAT, RobotPlacement, make_model, settle
 from models.datasheets import EXACT, SENSOR_ERRORS, TOLERANCES, SensorErrorSheet
+from tests.twin.hardware.bridges import add_bridges
 from twin.camera import StereoConfig
 from twin.connect import connect
 from twin.describe import describe_placement
@@ -190,6 +191,7 @@ def test_emulated_inclinometer_is_shaken_as_the_simulated_one_is():
         connect("sim", robots=robots, field=PLAIN, seed=4, realism=behind) as plain,
     ):
         (robot,), (twin,) = boards.robots.values(), plain.robots.values()
+        add_bridges(plain, twin.name)
         robot.activate()
         twin.activate()
         for tick in range(200):

@@ -19,7 +19,7 @@ from controllers.identification.rover_identifier import (
     SwingingArm,
 )
 from models.compose import PayloadConfig, RobotPlacement
-from models.datasheets import POWER_STAGE
+from tests.twin.hardware.bridges import add_bridges
 from twin.camera import StereoConfig
 from twin.connect import LineConfig, connect
 from twin.describe import describe_rover
@@ -32,7 +32,7 @@ from twin.hardware.roboclaw.codec import Status
 from twin.hardware.serial_link import LinkError
 from twin.loop import LoopRecorder, run
 from twin.realism import Realism
-from twin.robot import AXES, ArmMode, Command, Observation, Validity, WheelMode
+from twin.robot import ArmMode, Command, Observation, Validity, WheelMode
 
 ROBOT = "rover1"
 PERIOD = 0.01
@@ -169,9 +169,7 @@ def test_boards_err_by_a_count_from_the_simulation_that_gets_the_same_voltages()
     )
     with connect("sim", realism=Realism(ANALOGUE_SENSORS), seed=5) as link:
         robot, data = link.robots[ROBOT], link.simulation.data
-        for axis in AXES:  # The voltages are those across a motor and two switches of its bridge.
-            motor = link.simulation.model.actuator(f"{ROBOT}/{axis}")
-            motor.gainprm[0] += 2.0 * POWER_STAGE.switch_resistance
+        add_bridges(link, ROBOT)
         names = ("front_left", "front_right", "rear_left", "rear_right")
         wheels = [data.joint(f"{ROBOT}/{name}_joint") for name in names]
         before = None
