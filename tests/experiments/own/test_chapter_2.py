@@ -62,12 +62,12 @@ def test_the_designed_swing_tells_the_base_and_a_constant_one_less(tmp_path, fin
     limits = tmp_path / "limits.toml"
     limits.write_text("[joints.shoulder]\nrate = 4\n")
     words = ["--model", hidden.robot(PLANT), "--limits", str(limits), "--parameters", *SEEN]
-    words += ["--duration", "4", "--highest", "3", "--generations", "1"]
+    words += ["--duration", "3.2", "--highest", "3", "--generations", "1"]
     assert main(["excite", *words, "--out", f"{tmp_path}/motion.csv"]) == 0
     with (tmp_path / "motion.csv").open() as stream:
         rows = np.array([row for row in csv.reader(stream)][1:], dtype=float)
     log(tmp_path, "motion", *rows.T)
-    stamps = np.arange(0.0, 4.0, TICK)
+    stamps = np.arange(0.0, 3.2, TICK)
     blend = np.minimum(stamps, 1.0)
     # As fast as the limit allows: one amplitude and frequency (Thesis section 2.6.1, "constant").
     log(tmp_path, "constant", stamps, 0.6 * blend * np.sin(2.0 * np.pi * stamps))

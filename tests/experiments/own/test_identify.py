@@ -97,7 +97,7 @@ def test_everything_is_written_and_the_model_loads(leg):
 
 def test_robot_that_the_model_does_not_explain_is_not_called_good(tmp_path, capsys):
     """Its friction has changed, and is not among what is sought."""
-    write_runs(tmp_path, "cart", 3.0)
+    write_runs(tmp_path, "cart", 1.5)
     words = ["--log", f"{tmp_path}/a.csv", "--hold-out", f"{tmp_path}/b.csv"]
     assert identify(tmp_path, "cart", *words, "--parameters", "joint.root.*") == 1
     out = capsys.readouterr().out
@@ -110,7 +110,7 @@ def test_a_parameter_far_beyond_what_was_said_of_it_is_doubted(tmp_path, capsys)
     def stiffen(spec):
         spec.joint("root").stiffness[0] *= 1.5
 
-    write_runs(tmp_path, "cart", 3.0, stiffen)
+    write_runs(tmp_path, "cart", 1.5, stiffen)
     words = ["--log", f"{tmp_path}/a.csv", "--hold-out", f"{tmp_path}/b.csv", "--parameters"]
     assert identify(tmp_path, "cart", *words, "delay", "joint.root.stiffness:0.05") == 1
     assert "not good joint.root.stiffness is 8.1 times as far off" in capsys.readouterr().out
@@ -118,7 +118,7 @@ def test_a_parameter_far_beyond_what_was_said_of_it_is_doubted(tmp_path, capsys)
 
 
 def test_nothing_is_good_without_a_run_held_out(tmp_path, capsys):
-    write_runs(tmp_path, "cart", 3.0, lambda spec: None, "a")
+    write_runs(tmp_path, "cart", 1.5, lambda spec: None, "a")
     words = ["--log", f"{tmp_path}/a.csv", "--parameters", "joint.*.stiffness", "delay"]
     assert identify(tmp_path, "cart", *words) == 1
     assert "not good no run was held out" in capsys.readouterr().out
