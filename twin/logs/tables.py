@@ -22,6 +22,8 @@ from perception.geometry import files
 from perception.geometry.arrays import FloatArray
 from twin.logs.log import Field, LogError
 
+BLOCK = 2**22
+"""Part of a CSV file that is read at once [B]."""
 TIMES = ("time", "t", "stamp", "timestamp")
 """Columns of a CSV file that are taken for the stamps."""
 
@@ -37,7 +39,7 @@ def read_csv(path: Path, time: str, time_unit: float) -> dict[str, Field]:
     Raises:
         LogError: If there is no such column, or it holds no numbers.
     """
-    table = pyarrow.csv.read_csv(path)
+    table = _csv_table(path)
     found = time or next((name for name in TIMES if name in table.column_names), "")
     if found not in table.column_names:
         raise LogError(
@@ -60,6 +62,16 @@ def read_csv(path: Path, time: str, time_unit: float) -> dict[str, Field]:
             there = column.is_valid().to_numpy()
             fields[name] = Field(times[there], values[there])
     return fields
+
+
+def _csv_table(path: Path) -> pa.Table:
+    block = pyarrow.csv.ReadOptions(block_size=BLOCK)
+    try:
+        with pyarrow.csv.open_csv(path, read_options=block) as reader:
+            return reader.read_all()
+    except pa.ArrowInvalid:
+        # Types are those of the first block; to find others takes four times the memory.
+        return pyarrow.csv.read_csv(path)
 
 
 def read_lerobot(path: Path, episode: int) -> dict[str, Field]:

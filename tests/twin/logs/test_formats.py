@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from tests.twin.logs import formats
+from twin.logs import tables
+from twin.logs.fields import read_fields
 from twin.logs.mapping import read_log, read_mapping
 
 EXACT = 1e-12
@@ -67,3 +69,14 @@ def test_a_delay_moves_stamps_back(tmp_path):
     log = read_log(path, read_mapping(tmp_path / "map.toml"))
     np.testing.assert_allclose(log.signals["motors"].stamps, run.times - 0.004, atol=1e-12)
     np.testing.assert_allclose(log.signals["gyro"].stamps, run.times, atol=1e-12)
+
+
+def test_types_of_a_table_may_show_late(tmp_path, monkeypatch):
+    """Whole numbers, and a column without any, until the file has been read halfway."""
+    monkeypatch.setattr(tables, "BLOCK", 300)
+    rows = [f"{n},{n if n < 50 else n + 0.5},{'' if n < 50 else n}" for n in range(100)]
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(["t,a,b", *rows]) + "\n")
+    fields = read_fields(path)
+    assert fields["a"].values[[0, -1]].tolist() == [0.0, 99.5]
+    assert fields["b"].stamps[0] == 50.0 and len(fields["b"].values) == 50
