@@ -21,6 +21,7 @@ from twin.hardware.emulator.amplifier import (
     motor_resistance,
     motor_volts,
     pulse_share,
+    supplied_volts,
 )
 
 pytestmark = pytest.mark.virtual_time
@@ -202,6 +203,10 @@ def test_circuit_balances_and_current_is_limited(codes, speeds, law):
     share = bridge_share(pulse_share(command_volts(codes, card), card), card)
     supplied = np.sign(codes) * share * card.battery * current
     free = np.abs(current) < 6.0
+    across = supplied_volts(codes, speeds, card)
+    np.testing.assert_allclose(across * current, volts * current + 0.66 * current**2, atol=1e-9)
+    drive = np.sign(codes) * share * card.battery
+    np.testing.assert_allclose(across[free], drive[free], atol=1e-9)
     taken = (np.array(card.motor_resistance) + 0.66) * current**2 + emf * current
     np.testing.assert_allclose(supplied[free], taken[free], atol=1e-9)
 
