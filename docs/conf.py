@@ -81,6 +81,7 @@ autodoc_default_options = {
 autodoc_preserve_defaults = True
 
 html_theme = "furo"
+html_show_search_summary = False  # It fetches the pages, which no browser does from a file.
 html_title = "fieldtwin"
 html_static_path = ["static"]
 html_css_files = ["site.css"]

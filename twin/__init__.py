@@ -13,6 +13,7 @@ In reading order:
   make of it.
 - `recording`: recordings and pictures for the rerun viewer; `logs`: logs of any robot, in and out.
 - `prediction`: any MuJoCo model's parameters by name, and what its sensors would read.
+- `shadow`: a twin that runs beside a rover, and what it did not expect.
 - `environment`: the same scene for dm_control.
 - `hardware`: robots over real and emulated boards (thesis appendix D).
 """

@@ -5,4 +5,5 @@
   figure 5-6).
 - `wheel_grip`: friction under each wheel, from its own spin.
 - `diagnosis`: a load on the base, soft springs or a worn tyre, by name and size.
+- `changes`: what changed, found in the innovations of a twin that runs beside the robot.
 """

@@ -308,6 +308,12 @@ COMMANDS: dict[str, Command] = {
             example="--speed 0.3 --record drive.rrd",
         ),
         Command(
+            "live",
+            "the twin beside a rover that a log tells of: what it deviates by, and what changed",
+            "experiments.live.live",
+            example="--log results/mission/run.mcap --robot master",
+        ),
+        Command(
             "doctor",
             "versions, renderer, and what is missing on this machine",
             "experiments.doctor.doctor",

@@ -9,4 +9,5 @@ In reading order:
 - `checks`: what is wrong with a log, before anything is fitted to it.
 - `writing`: logs of our own runs, and any others, as MCAP; `lerobot`: as LeRobot datasets.
 - `settings`: how the robots of a log of ours were connected.
+- `ticks`: such a log as its controller saw it.
 """

@@ -1,0 +1,157 @@
+"""Changes in innovations that are linear in them, against likelihoods by brute force."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.stats
+
+from controllers.sensing.changes import UNKNOWN, Change, ChangeConfig, ChangeDetector
+
+SPREADS = np.array([0.5, 2.0, 0.1])
+CONFIG = ChangeConfig(
+    block=10, windows=(2, 4, 8), learning=60, settling=2, walk=0.0, memory=1e9, between=1e4
+)
+CHANGES = [
+    Change(name, "1", row, spread)
+    for name, row, spread in zip("abc", np.eye(3), (2.0, 6.0, 0.5), strict=True)
+]
+READINGS = 6
+SIGMA = np.array([0.1, 1.0, 0.5, 2.0, 0.02, 3.0])
+
+
+def innovations(rng, ticks, deviations, noise=1.0):
+    """What a robot with these deviations shows: sensitivities that change, and white noise."""
+    for tick in range(ticks):
+        wave = np.sin(0.05 * tick * np.arange(1, 4)[:, None] + np.arange(READINGS))
+        slopes = wave * SIGMA / SPREADS[:, None]
+        values = deviations(tick) @ slopes + noise * SIGMA * rng.standard_normal(READINGS)
+        yield values, slopes
+
+
+def watched(detector, rng, ticks, deviations, noise=1.0):
+    """Findings, by tick; each is accepted."""
+    found = []
+    for tick, (values, slopes) in enumerate(innovations(rng, ticks, deviations, noise)):
+        finding = detector.step(values, SIGMA, slopes)
+        if finding is not None:
+            found.append((tick, finding))
+            change = [each for each in CHANGES if each.name == finding.name]
+            if change:
+                detector.accept(change[0], finding)
+            else:
+                detector.reset()
+    return found
+
+
+def test_the_robot_is_learned_as_least_squares_learns_it():
+    true = np.array([0.4, -1.5, 0.05])
+    config = dataclasses.replace(CONFIG, learning=10**6, forgetting=1e9, windows=(1,))
+    detector = ChangeDetector(SPREADS, CHANGES, config)
+    rows, values = [], []
+    for seen, slopes in innovations(np.random.default_rng(1), 4000, lambda tick: true):
+        detector.step(seen, SIGMA, slopes)
+        rows.append(slopes / SIGMA), values.append(seen / SIGMA)
+    # Blocks that it has left out: those at first, and the last, which may be changed already.
+    first, last = CONFIG.settling * CONFIG.block, 4000 - CONFIG.block
+    means = [
+        np.array(each[first:last]).reshape(-1, CONFIG.block, *np.shape(each[0])).mean(axis=1)
+        for each in (rows, values)
+    ]
+    slopes, seen = means[0].transpose(0, 2, 1).reshape(-1, 3), means[1].ravel()
+    prior = np.diag(SPREADS**-2.0)
+    information = CONFIG.block * slopes.T @ slopes + prior
+    expected = np.linalg.solve(information, CONFIG.block * slopes.T @ seen)
+    # The variances of the readings are learned, so that neither is exact.
+    sigma = np.sqrt(np.diag(np.linalg.inv(information)))
+    assert np.abs(detector.deviations - expected).max() < 0.3 * sigma.max()
+    assert np.sqrt(np.diag(detector.covariance)) == pytest.approx(sigma, rel=0.15)
+    assert np.all(np.abs(detector.deviations - true) < 4.0 * sigma)
+
+
+def test_ratio_is_that_of_the_likelihoods_integrated_over_the_size():
+    rng = np.random.default_rng(2)
+    detector = ChangeDetector(SPREADS, CHANGES, dataclasses.replace(CONFIG, learning=10**6))
+    for values, slopes in innovations(rng, 200, lambda tick: np.zeros(3)):
+        detector.step(values, SIGMA, slopes)
+    blocks = list(detector._recent)[-4:]
+    ratios, *_ = detector._compare(blocks)
+    # By brute force: all block means as one Gaussian vector, whose mean the change moves.
+    variances = detector._variances
+    slopes = np.vstack([block.slopes.T for block in blocks])
+    values = np.concatenate([block.values for block in blocks])
+    noise = np.concatenate([variances / block.ticks for block in blocks])
+    known = detector._covariance
+    covariance = np.diag(noise) + slopes @ known @ slopes.T
+    off = values - slopes @ detector._mean
+    for change, ratio in zip(CHANGES, ratios, strict=True):
+        along = slopes @ (change.direction / SPREADS)
+
+        none = scipy.stats.multivariate_normal.logpdf(off, np.zeros(len(off)), covariance)
+
+        def likelihood(size, along=along, change=change, none=none):
+            moved = scipy.stats.multivariate_normal.logpdf(off, size * along, covariance)
+            return np.exp(moved - none) * scipy.stats.norm.pdf(size, scale=change.spread)
+
+        reach = 8.0 * change.spread
+        expected, _ = scipy.integrate.quad(likelihood, -reach, reach, limit=400, points=[0.0])
+        assert ratio == pytest.approx(np.log(expected), abs=1e-3)
+
+
+def test_unchanged_robots_raise_hardly_an_alarm():
+    config = dataclasses.replace(CONFIG, between=1e3)
+    blocks, alarms = 0, 0
+    for seed in range(8):
+        rng = np.random.default_rng([3, seed])
+        true = SPREADS * rng.standard_normal(3)
+        detector = ChangeDetector(SPREADS, CHANGES, config)
+        alarms += len(watched(detector, rng, 10_000, lambda tick, true=true: true, noise=0.5))
+        blocks += 1000 - config.learning
+    # As many as one in a thousand blocks would be 7.5 in the mean.
+    assert alarms <= scipy.stats.poisson.ppf(0.999, blocks / config.between)
+
+
+@pytest.mark.parametrize(("kind", "size"), [(0, 1.5), (1, -5.0), (2, 0.3)])
+def test_change_is_named_soon_with_its_size(kind, size):
+    delays, inside = [], 0
+    for seed in range(10):
+        rng = np.random.default_rng([4, kind, seed])
+        true = SPREADS * rng.standard_normal(3)
+        change = size * np.eye(3)[kind]
+
+        def deviations(tick, true=true, change=change):
+            return true + (change if tick >= 1200 else 0.0)  # noqa: PLR2004
+
+        found = watched(ChangeDetector(SPREADS, CHANGES, CONFIG), rng, 2000, deviations)
+        assert [each.name for _, each in found] == ["abc"[kind]]
+        tick, finding = found[0]
+        delays.append(tick - 1200)
+        inside += abs(finding.size - size) < 1.96 * finding.sigma
+    assert min(delays) > 0 and np.median(delays) <= 100  # noqa: PLR2004
+    assert inside >= 7  # Of ten 95 % bands; fewer would hold once in ten thousand.
+
+
+def test_what_no_change_explains_is_unknown():
+    rng = np.random.default_rng(5)
+    detector = ChangeDetector(SPREADS, CHANGES, CONFIG)
+    found = []
+    for tick, (values, slopes) in enumerate(innovations(rng, 2000, lambda tick: np.zeros(3))):
+        knocked = 4.0 * SIGMA * np.sign(np.sin(0.11 * tick + np.arange(READINGS) ** 2))
+        finding = detector.step(values + knocked * (tick >= 1200), SIGMA, slopes)  # noqa: PLR2004
+        if finding is not None:
+            found.append((tick, finding.name))
+            break
+    assert found and found[0][0] >= 1200 and found[0][1] == UNKNOWN  # noqa: PLR2004
+
+
+def test_what_is_not_measured_counts_for_nothing():
+    rng = np.random.default_rng(6)
+    whole, without = (ChangeDetector(SPREADS, CHANGES, CONFIG) for _ in range(2))
+    for values, slopes in innovations(rng, 700, lambda tick: np.array([0.3, 0.0, 0.1])):
+        values[2] = np.nan
+        whole.step(values, SIGMA, slopes)
+        rows = [k for k in range(READINGS) if k != 2]  # noqa: PLR2004
+        without.step(values[rows], SIGMA[rows], slopes[:, rows])
+    assert whole.deviations == pytest.approx(without.deviations, rel=1e-12)
+    assert whole.evidence == pytest.approx(without.evidence, rel=1e-9)

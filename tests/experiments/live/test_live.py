@@ -1,0 +1,93 @@
+"""``live``: the twin beside a log, from the command line."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from rerun.chunk import RrdReader
+
+from experiments.__main__ import main
+from experiments.live.live import placement_of
+from models.compose import RobotPlacement
+from tests.twin.shadow.test_shadow import ROBOT, Working, add_load
+from twin.connect import connect
+from twin.logs.log import Log, Signal
+from twin.logs.writing import LogWriter, write_mcap
+from twin.loop import run
+from twin.shadow.deviations import shadow_scene
+
+ALONE = RobotPlacement(ROBOT)
+CHANGED = 12.0
+"""Time at which the gripper takes a load [s]."""
+
+
+def write_log(path, seconds, robot=ALONE, changed=None):
+    """Log a rover that works; it takes 0.1 kg at a time, if one is given."""
+    with (
+        connect("sim", robots=[robot], realism="ideal", seed=4) as connection,
+        LogWriter(path, connection.settings) as writer,
+    ):
+        left = [changed] if changed is not None else []
+
+        def until():
+            if left and connection.clock.time >= left[0]:
+                left.clear()
+                add_load(connection.simulation.model)
+            return False
+
+        run(connection.robots, [Working()], connection.clock, [writer], seconds, until)
+
+
+@pytest.mark.slow
+def test_a_load_that_is_taken_is_named_with_its_size(tmp_path, capsys):
+    write_log(tmp_path / "run.mcap", 18.0, changed=CHANGED)
+    out = tmp_path / "found"
+    words = ["--log", f"{tmp_path}/run.mcap", "--learning", "10", "--out", str(out)]
+    assert main(["live", *words]) == 0
+    printed = capsys.readouterr().out
+    found = json.loads((out / "live.json").read_text())
+    (change,) = found["changes"]
+    assert change["name"] == "load gripper" and change["unit"] == "kg"
+    assert CHANGED < change["time"] < CHANGED + 3.0
+    assert change["size"] == pytest.approx(0.1, abs=0.03)
+    assert "load gripper +0." in printed and "deviations.png" in printed
+    # Of a rover as drawn there is little to learn.
+    assert abs(found["deviations"]["supply shoulder"]["value"]) < 0.05  # noqa: PLR2004
+    assert all(0.0 < each < 1.0 for each in found["innovations_over_sigma"].values())
+    for name in ("deviations.png", "innovations.png"):
+        with Image.open(out / name) as picture:
+            assert picture.width > 600  # noqa: PLR2004
+    names = {chunk.entity_path for chunk in RrdReader(out / "live.rrd").stream()}
+    assert {"/innovations/gyro", "/deviations/load/gripper", "/changes"} <= names
+
+
+def test_a_rover_as_drawn_shows_no_change(tmp_path, capsys):
+    write_log(tmp_path / "run.mcap", 7.0)
+    words = ["--log", f"{tmp_path}/run.mcap", "--learning", "3", "--out", f"{tmp_path}/found"]
+    assert main(["live", *words]) == 0
+    assert "no change was found" in capsys.readouterr().out
+
+
+def test_what_a_log_cannot_tell_is_said_in_one_line(tmp_path, capsys):
+    path = tmp_path / "run.mcap"
+    write_mcap(Log({"gyro": Signal("sensor", np.arange(2.0), np.zeros((2, 3)))}), path)
+    assert main(["live", "--log", str(path), "--out", f"{tmp_path}/found"]) == 1
+    assert "no rover '' in the log; there are none" in capsys.readouterr().err
+    assert main(["live", "--log", str(path), "--learning", "-1"]) == 2  # noqa: PLR2004
+    assert "--learning" in capsys.readouterr().err
+    assert not (tmp_path / "found").exists()
+
+
+def test_the_twin_holds_what_the_log_says_that_the_rover_holds(tmp_path):
+    path = tmp_path / "run.mcap"
+    carrier = RobotPlacement(ROBOT, card=True, mast=0.1)
+    write_log(path, 0.1, carrier)
+    assert placement_of(path, ROBOT) == carrier
+    assert placement_of(path, "other") == RobotPlacement("other")
+
+
+@pytest.mark.parametrize("other", [{"arm": False}, {"centre_locked": True}])
+def test_other_rovers_have_no_twin(other):
+    with pytest.raises(ValueError, match="rover1: the twin is of the thesis' rover"):
+        shadow_scene(RobotPlacement(ROBOT, **other))

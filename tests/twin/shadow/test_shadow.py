@@ -1,0 +1,198 @@
+"""A shadow beside simulated rovers, whose truth is known here."""
+
+import dataclasses
+
+import mujoco
+import numpy as np
+import pytest
+
+from models.compose import FieldConfig, RobotPlacement
+from twin.connect import connect
+from twin.describe import describe_rover
+from twin.loop import LoopRecorder, run
+from twin.robot import MISSING, ArmMode, Command, WheelMode
+from twin.shadow.deviations import rover_deviations, shadow_scene
+from twin.shadow.readings import CHANNELS, apparent_tilt
+from twin.shadow.shadow import Shadow
+
+ROBOT = "rover1"
+DRAWN = describe_rover(ROBOT)
+AROUND = np.array([0.6, 0.2, 0.25, 0.3])
+
+
+class Working:
+    """Drives and turns while the arm swings about its rest posture."""
+
+    def reset(self):
+        pass
+
+    def step(self, observations):
+        time = observations[ROBOT].time
+        drive, turn = 1.5 * np.sin(0.9 * time), 0.8 * np.sin(0.5 * time + 1.0)
+        phases = np.array([1.1, 1.7, 1.4, 2.1]) * time
+        ramp = min(time, 1.0)
+        wheels = ramp * (drive + turn * np.array([-1.0, 1.0, -1.0, 1.0]))
+        arm = DRAWN.arm.home + ramp * AROUND * np.sin(phases)
+        return {ROBOT: Command(wheels, arm, WheelMode.SPEED, ArmMode.POSITION)}
+
+
+class Beside(LoopRecorder):
+    """Steps a shadow with what a controller sees, and keeps its innovations."""
+
+    def __init__(self, shadow, seen=lambda each: each):
+        self._shadow, self._seen, self._applied = shadow, seen, Command(np.zeros(4), np.zeros(4))
+        self.found = []
+
+    def record(self, tick):
+        innovation = self._shadow.step(self._seen(tick.observations[ROBOT]), self._applied)
+        self._applied = tick.applied[ROBOT]
+        if innovation is not None:
+            self.found.append(innovation)
+
+
+def beside(
+    seconds, deviations=(), change=None, known=0.0, seen=lambda each: each, slope=(0.0, 0.0)
+):
+    field = FieldConfig(size=(6.0, 6.0), texture_pixels=16, slope=slope)
+    shadow = Shadow(shadow_scene(RobotPlacement(ROBOT)), DRAWN, deviations)
+    shadow.know(np.full(len(deviations), known))
+    beside = Beside(shadow, seen)
+    with connect("sim", field=field, realism="ideal", seed=4) as connection:
+        if change is not None:
+            change(connection.simulation.model)
+        run(connection.robots, [Working()], connection.clock, [beside], seconds)
+    shadow.close()
+    return shadow, beside.found
+
+
+def quarters(found, what):
+    """Means of a quarter of a second, in deviations; wheels that slide anew each time cancel."""
+    rows = np.array([getattr(each, what) / each.sigma for each in found[100:]])
+    count = len(rows) // 25
+    return np.nanmean(rows[: 25 * count].reshape(count, 25, -1), axis=1)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Beside the robot as drawn."""
+    return beside(12.0)
+
+
+def test_of_a_robot_as_drawn_it_misses_little_but_the_noise(drawn):
+    shadow, found = drawn
+    values = np.array([each.values for each in found])[200:]
+    for name, sigma in (("arm_rates", 0.01), ("wheel_speeds", 0.02), ("arm_base_wrench", 0.1)):
+        place = shadow.channels[name]
+        noise = np.broadcast_to(DRAWN.sensor_sigma[name], place.stop - place.start)
+        assert noise[0] == pytest.approx(sigma)
+        off = np.sqrt(np.mean(values[:, place] ** 2, axis=0)) / noise
+        # The twin corrects itself by noise, too; its steps are twice as long.
+        assert np.all(off > 0.9) and np.all(off < 4.0), name  # noqa: PLR2004
+
+
+def test_it_states_more_than_it_misses_of_a_robot_as_drawn(drawn):
+    _, found = drawn
+    squares = np.nanmean([np.square(each.values / each.sigma) for each in found[200:]], axis=0)
+    assert np.all(squares < 1.0)
+
+
+def test_innovations_of_a_robot_as_drawn_are_nearly_white(drawn):
+    shadow, found = drawn
+    values = np.array([each.values for each in found])[200:]
+    for name in ("arm_rates", "wheel_speeds", "arm_base_wrench"):
+        for column in values[:, shadow.channels[name]].T:
+            assert abs(np.corrcoef(column[:-1], column[1:])[0, 1]) < 0.5  # noqa: PLR2004
+
+
+def add_load(model):
+    """Put 0.1 kg where the gripper holds things."""
+    body, site = model.body(f"{ROBOT}/wrist"), model.site(f"{ROBOT}/gripper")
+    mass, centre = float(body.mass[0]), body.ipos.copy()
+    moved = (mass * centre + 0.1 * site.pos) / (mass + 0.1)
+    # The inertia of two points about their common centre, added to that of the wrist.
+    apart = float(np.sum((site.pos - centre) ** 2)) * mass * 0.1 / (mass + 0.1)
+    body.inertia[:] += apart
+    body.mass[0], body.ipos[:] = mass + 0.1, moved
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+def soften(model):
+    model.joint(f"{ROBOT}/front_left_suspension_joint").stiffness[0] *= 0.6
+
+
+def brake(model):
+    model.dof_frictionloss[model.joint(f"{ROBOT}/rear_right_joint").dofadr[0]] += 0.3
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "size", "near"),
+    [
+        ("load gripper", add_load, 0.1, 0.01),
+        ("spring front_left", soften, -0.4, 0.15),
+        ("drag rear_right", brake, 0.3, 0.05),
+    ],
+)
+def test_its_sensitivities_tell_what_the_robot_deviates_by(name, change, size, near):
+    chosen = [each for each in rover_deviations(DRAWN) if each.name == name]
+    _, found = beside(15.0, chosen, change)
+    values, slopes = quarters(found, "values").ravel(), quarters(found, "sensitivities").ravel()
+    assert slopes @ values / (slopes @ slopes) == pytest.approx(size, abs=near)
+
+
+def test_what_it_knows_it_expects():
+    deviations = [each for each in rover_deviations(DRAWN) if each.name == "load gripper"]
+    elbow = []
+    for known in (0.0, 0.1):
+        shadow, found = beside(5.0, deviations, add_load, known=known)
+        values = quarters(found, "values")[:, shadow.channels["arm_rates"]]
+        elbow.append(np.sqrt(np.mean(values[:, 2] ** 2)))
+    assert elbow[0] > 10.0 * elbow[1]
+
+
+def test_it_learns_the_slope_that_it_stands_on():
+    shadow, _ = beside(6.0, slope=(0.06, -0.04))
+    # `FieldConfig.slope` is that along x and y; pitch is about x, and lifts y.
+    assert shadow.slope == pytest.approx([-0.04, -0.06], abs=0.006)
+
+
+def test_channels_that_are_missing_leave_it_to_predict():
+    def without(observation):
+        lost = observation.time > 3.0  # noqa: PLR2004
+        return observation._replace(gyro=MISSING, arm_base_wrench=MISSING) if lost else observation
+
+    shadow, found = beside(5.0, seen=without)
+    last = found[-1]
+    for name in ("gyro", "arm_base_wrench"):
+        assert np.isnan(last.values[shadow.channels[name]]).all()
+    assert np.isfinite(last.expected).all()
+    rates = [each.values[shadow.channels["arm_rates"]] for each in found[400:]]
+    assert np.sqrt(np.mean(np.square(rates))) < 0.02  # noqa: PLR2004
+
+
+def test_it_waits_for_what_it_begins_with():
+    def late(observation):
+        early = observation.time < 1.0
+        return observation._replace(arm_angles=MISSING) if early else observation
+
+    _, found = beside(1.5, seen=late)
+    assert 1.0 < found[0].time < 1.05 and len(found) < 52  # noqa: PLR2004
+
+
+def test_tilt_of_the_masses_at_rest_is_that_of_the_body():
+    pitch, roll = 0.1, -0.05
+    force = 9.81 * np.array(
+        [-np.cos(pitch) * np.sin(roll), np.sin(pitch), np.cos(pitch) * np.cos(roll)]
+    )
+    assert apparent_tilt(force[None])[0] == pytest.approx([pitch, roll], abs=1e-6)
+
+
+def test_every_deviation_changes_what_is_expected():
+    """None of them is a name alone."""
+    deviations = rover_deviations(DRAWN)
+    assert len({each.name for each in deviations}) == len(deviations)
+    _, found = beside(3.0, deviations)
+    reach = np.max([np.abs(each.sensitivities / each.sigma) for each in found[50:]], axis=(0, 2))
+    for deviation, largest in zip(deviations, reach, strict=True):
+        assert largest * abs(deviation.step) > 0.01, deviation.name  # noqa: PLR2004
+    assert set(dataclasses.asdict(deviations[0])) >= {"spread", "change", "step"}
+    assert len(CHANNELS) == 8  # noqa: PLR2004

@@ -1,0 +1,149 @@
+"""Ways in which a rover may differ from its drawing, each by one number that is zero as drawn."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+
+import mujoco
+import numpy as np
+
+from models.compose import RobotPlacement, build_scene
+from models.configuration import FieldConfig
+from models.datasheets import SENSOR_ERRORS, TOLERANCES
+from perception.geometry.arrays import FloatArray
+from twin.description import RobotDescription
+
+DECK = (0.0, -0.11, 0.06)
+"""Where a load on the base is taken to lie, in the rear half's frame [m]: on the middle of its
+deck."""
+LOADS = ("base", "gripper")
+TIME_STEP = 0.002
+"""Physics step of a shadow [s], twice the scenes': its errors stay below the sensors' noise."""
+_HALF_LOAD = 0.025  # Half size of a load, of which its inertia follows [m].
+_UNIFORM = 3.0**-0.5  # Standard deviation of what is even within 1 to both sides.
+
+Writer = Callable[[mujoco.MjModel, float], None]
+
+
+@dataclasses.dataclass(frozen=True)
+class Deviation:
+    """One way to differ.
+
+    Attributes:
+        name: Such as ``spring of front_left``.
+        unit: Unit of its number.
+        spread: Standard deviation among new robots, and so what is known beforehand.
+        change: Standard deviation of what may happen to it later.
+        step: Number with which its effect is calculated: large, as wheels lift and slide anew for
+            every little difference.
+        write: Function that gives it to a compiled model.
+        supply: Share of each motor's voltage that is lost by one unit, by name of the axis.
+        reading: What one unit adds to readings, by channel and number.
+    """
+
+    name: str
+    unit: str
+    spread: float
+    change: float
+    step: float
+    write: Writer = lambda model, value: None
+    supply: Mapping[str, float] = dataclasses.field(default_factory=dict[str, float])
+    reading: Mapping[tuple[str, int], float] = dataclasses.field(
+        default_factory=dict[tuple[str, int], float]
+    )
+
+
+def shadow_scene(robot: RobotPlacement) -> mujoco.MjModel:
+    """Return the thesis' rover as drawn on level ground, with loads that weigh nothing.
+
+    Its sensors keep no histories, which MuJoCo cannot linearise.
+
+    Args:
+        robot: The rover; its name, card, mast and head count, nothing of how it was made.
+
+    Raises:
+        ValueError: If it is another robot, has no arm, or a locked centre joint.
+    """
+    if robot.model or not robot.arm or robot.centre_locked:
+        raise ValueError(
+            f"{robot.name}: the twin is of the thesis' rover with its arm and a free centre joint"
+        )
+    drawn = RobotPlacement(robot.name, card=robot.card, mast=robot.mast, stereo=robot.stereo)
+    spec = build_scene(FieldConfig(texture_pixels=16), [drawn])
+    spec.option.timestep = TIME_STEP
+    for sensor in spec.sensors:
+        sensor.nsample = 0
+    gripper = spec.site(f"{robot.name}/gripper")
+    for name, body, place in (
+        ("base", spec.body(f"{robot.name}/rear_chassis"), DECK),
+        ("gripper", gripper.parent, gripper.pos),
+    ):
+        load = body.add_body(name=f"{robot.name}/load_{name}", pos=place)
+        load.explicitinertial = True
+        load.mass, load.ipos, load.inertia = 1e-9, np.zeros(3), np.full(3, 1e-12)
+    return spec.compile()
+
+
+def rover_deviations(robot: RobotDescription) -> list[Deviation]:
+    """Return how the thesis' rover may differ: loads, springs, motors, wheels, zeros.
+
+    Args:
+        robot: The rover as drawn.
+    """
+    name = robot.name
+    found = [
+        Deviation(f"load {place}", "kg", spread, change, step, _load(f"{name}/load_{place}"))
+        for place, spread, change, step in (("base", 0.1, 1.5, 1.0), ("gripper", 0.02, 0.2, 0.1))
+    ]
+    for wheel in robot.wheels:
+        spring = _factor("joint", f"{name}/{wheel.name}_suspension_joint", "stiffness")
+        share = TOLERANCES.spring * _UNIFORM
+        found.append(Deviation(f"spring {wheel.name}", "1", share, 0.4, -0.4, spring))
+    for wheel in robot.wheels:
+        drag = _friction(f"{name}/{wheel.name}_joint")
+        found.append(Deviation(f"drag {wheel.name}", "N m", 0.05, 0.5, 0.2, drag))
+    for joint in robot.arm.joints if robot.arm else ():
+        friction = _friction(f"{name}/{joint.name}_joint")
+        spread = TOLERANCES.joint_friction * _UNIFORM * joint.friction
+        found.append(Deviation(f"drag {joint.name}", "N m", spread, 0.3, 0.05, friction))
+    for axis in robot.axes:
+        found.append(Deviation(f"supply {axis}", "1", 0.05, 0.3, 0.2, supply={axis: 1.0}))
+    zeros = {
+        "arm_angles": (robot.joint_names, "rad", SENSOR_ERRORS.encoder_zero, 0.005),
+        "inclinometer": (("pitch", "roll"), "rad", SENSOR_ERRORS.inclinometer_zero, 0.005),
+    }
+    for channel, (labels, unit, most, step) in zeros.items():
+        for number, label in enumerate(labels):
+            reading = {(channel, number): 1.0}
+            spread = most * _UNIFORM
+            found.append(Deviation(f"zero {label}", unit, spread, 0.03, step, reading=reading))
+    return found
+
+
+def _load(body: str) -> Writer:
+    def write(model: mujoco.MjModel, value: float) -> None:
+        index = model.body(body).id
+        model.body_mass[index] += value
+        model.body_inertia[index] += value * _HALF_LOAD**2 * 2.0 / 3.0
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    return write
+
+
+def _factor(kind: str, name: str, what: str) -> Writer:
+    def write(model: mujoco.MjModel, value: float) -> None:
+        getattr(getattr(model, kind)(name), what)[0] *= 1.0 + value
+
+    return write
+
+
+def _friction(joint: str) -> Writer:
+    def write(model: mujoco.MjModel, value: float) -> None:
+        model.joint(joint).frictionloss[0] += value
+
+    return write
+
+
+def deviating(model: mujoco.MjModel, deviations: list[Deviation], values: FloatArray) -> None:
+    """Write deviations of given sizes (n,) into a model, as far as they are of the model."""
+    for deviation, value in zip(deviations, values.tolist()):
+        deviation.write(model, value)

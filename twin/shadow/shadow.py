@@ -1,0 +1,227 @@
+"""A twin beside a robot: what it expects to be measured, tick by tick."""
+
+# mujoco.rollout has no stubs.
+# pyright: reportMissingTypeStubs=false
+
+import copy
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import mujoco
+import numpy as np
+from mujoco.rollout import Rollout
+
+from perception.geometry.arrays import FloatArray
+from perception.geometry.gravity import GRAVITY
+from twin.description import RobotDescription
+from twin.prediction.predictor import STATE
+from twin.robot import Command, Observation
+from twin.servo import SERVO_PERIOD
+from twin.shadow.deviations import Deviation, deviating
+from twin.shadow.gain import ShadowNoise, SteadyGain, settle
+from twin.shadow.readings import Readings
+
+BEGINNING = 2.0
+"""Time in which the twin comes to rest before it begins [s]."""
+
+
+class Innovation(NamedTuple):
+    """What was measured, against what the twin expected.
+
+    Attributes:
+        time: Robot time of the observation [s].
+        values: (n,) measured less expected; NaN where nothing new was measured.
+        sigma: (n,) their standard deviations, if the robot is as the twin.
+        sensitivities: (k, n) change of the expected by one unit of each deviation.
+        expected: (n,) expected readings.
+    """
+
+    time: float
+    values: FloatArray
+    sigma: FloatArray
+    sensitivities: FloatArray
+    expected: FloatArray
+
+
+@dataclasses.dataclass(frozen=True)
+class ShadowConfig:
+    """A shadow.
+
+    Attributes:
+        noise: What the model does not know.
+        threads: Count of threads that share the models.
+    """
+
+    noise: ShadowNoise = ShadowNoise()
+    threads: int = 2
+
+
+class Shadow:
+    """Runs beside one robot.
+
+    Beside the twin run copies of it, each with one deviation; all are driven by the same commands
+    and corrected by the same gain. So the difference of what two of them expect is what that
+    deviation would do to the twin's innovations, friction that sticks or slides included.
+
+    Args:
+        model: The rover as drawn, made by `twin.shadow.deviations.shadow_scene`.
+        robot: The rover as drawn.
+        deviations: Ways in which the robot may differ.
+        config: Noise and threads; None for the default.
+
+    Attributes:
+        names: (n,) names of the readings.
+        channels: Where each channel's readings are, by its name.
+        deviations: (k,) as given.
+        known: (k,) the deviations that the twin has.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        robot: RobotDescription,
+        deviations: Sequence[Deviation],
+        config: ShadowConfig | None = None,
+    ) -> None:
+        self._config = config or ShadowConfig()
+        self._drawn, self._robot = model, robot
+        self.deviations = list(deviations)
+        self._readings = Readings(model, robot)
+        self.names, self.channels = self._readings.names, self._readings.channels
+        self._steps = round(SERVO_PERIOD / model.opt.timestep)
+        self._axes = np.array([model.actuator(f"{robot.name}/{name}").id for name in robot.axes])
+        threads = self._config.threads
+        self._pool: Any = Rollout(nthread=threads)
+        self._data = [mujoco.MjData(model) for _ in range(threads)]
+        self.know(np.zeros(len(self.deviations)))
+        self.reset()
+
+    def close(self) -> None:
+        """End the threads."""
+        self._pool.close()
+
+    def know(self, values: FloatArray) -> None:
+        """Give the twin deviations (k,), as they were identified; the state stays."""
+        self.known = np.array(values, dtype=float)
+        steps = np.diag([each.step for each in self.deviations])
+        rows = np.vstack([self.known, self.known + steps])
+        self._models: list[mujoco.MjModel] = []
+        for row in rows:
+            model = copy.copy(self._drawn)
+            deviating(model, self.deviations, row)
+            self._models.append(model)
+        self._supply, self._bias = self._outer(rows)
+        self._gain = SteadyGain(self._models[0], self._readings, self._config.noise, self._steps)
+
+    @property
+    def slope(self) -> FloatArray:
+        """(2,) of the ground, pitch and roll [rad]."""
+        return self._slopes[0].copy()
+
+    def reset(self) -> None:
+        """Begin anew with the next observation."""
+        self._before: Observation | None = None
+
+    def step(self, seen: Observation, applied: Command) -> Innovation | None:
+        """Predict to an observation, and correct the twin by it.
+
+        Args:
+            seen: Observation of the robot.
+            applied: What was applied since the one before.
+
+        Returns:
+            The innovations; None for the first observation, with which the twin begins, and until
+            the arm's angles and the tilt are measured.
+        """
+        before, self._before = self._before, seen
+        if before is None:
+            if not self._begin(seen):
+                self._before = None
+            return None
+        self._gain.follow(self._states[0, 1 : 1 + self._drawn.nq], self._models[0].opt.gravity)
+        expected = self._predict(applied)
+        measured = self._readings.measured(seen, before)
+        innovations = measured - expected
+        self._correct(np.nan_to_num(innovations))
+        steps = np.array([each.step for each in self.deviations])
+        return Innovation(
+            seen.time,
+            innovations[0],
+            self._gain.sigma,
+            (expected[1:] - expected[0]) / steps[:, None],
+            expected[0],
+        )
+
+    def _outer(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return volts of each axis at full duty (m, axes), and what readings are off by (m, n)."""
+        volts = np.tile(self._drawn.actuator_ctrlrange[self._axes, 1], (len(rows), 1))
+        bias = np.zeros((len(rows), self._readings.size))
+        for column, deviation in zip(rows.T, self.deviations):
+            for axis, share in deviation.supply.items():
+                volts[:, self._robot.axes.index(axis)] *= 1.0 - share * column
+            for (channel, number), share in deviation.reading.items():
+                bias[:, self._readings.channels[channel].start + number] += share * column
+        return volts, bias
+
+    def _begin(self, seen: Observation) -> bool:
+        """Set the twin to rest where the robot is measured, and return whether it is."""
+        if not (seen.arm_angles.usable and seen.inclinometer.usable):
+            return False
+        drawn = self._drawn
+        places = drawn.key_qpos[0].copy()
+        places[self._readings.joints[0]] = seen.arm_angles.value
+        data = mujoco.MjData(drawn)
+        self._slopes: FloatArray = np.zeros((len(self._models), 2))
+        self._tilt_gravity()
+        settle(self._models[0], data, places, self._readings, BEGINNING)
+        count = len(self._models)
+        state = np.empty(mujoco.mj_stateSize(drawn, STATE))
+        mujoco.mj_getState(drawn, data, state, STATE)
+        state[0] = 0.0
+        self._states = np.tile(state, (count, 1))
+        tilt = np.array([2.0 * data.qpos[4], 2.0 * data.qpos[5]])
+        self._slopes[:] = np.asarray(seen.inclinometer.value, dtype=float) - tilt
+        self._tilts = np.tile(tilt, (count, 1)) + self._slopes
+        self._tilt_gravity()
+        return True
+
+    def _tilt_gravity(self) -> None:
+        """Turn gravity in each model as its slope has it."""
+        pitch, roll = np.sin(self._slopes).T
+        down = -np.sqrt(np.maximum(1.0 - pitch**2 - roll**2, 0.0))
+        for model, pull in zip(self._models, GRAVITY * np.column_stack([roll, -pitch, down])):
+            model.opt.gravity[:] = pull
+
+    def _predict(self, applied: Command) -> FloatArray:
+        """Advance all models by a tick, and return what they expect (m, n)."""
+        duty = np.concatenate([applied.wheels, applied.arm])
+        control = np.zeros((len(self._models), self._steps, self._drawn.nu))
+        control[:, :, self._axes] = (self._supply * duty)[:, None]
+        states, sensed = self._pool.rollout(
+            self._models, self._data, self._states, control, nstep=self._steps
+        )
+        self._states = states[:, -1].copy()
+        self._states[:, 0] = 0.0
+        return self._readings.expect(self._states, sensed, self._tilts) + self._bias
+
+    def _correct(self, innovations: FloatArray) -> None:
+        """Correct all models, and the ground that each believes in, by their innovations (m, n)."""
+        freedoms, count = self._drawn.nv, self._drawn.nq
+        change: FloatArray = innovations @ self._gain.gain.T
+        places = self._states[:, 1 : 1 + count]
+        places[:, :3] += change[:, :3]
+        places[:, 3:7] = _turned(places[:, 3:7], change[:, 3:6])
+        places[:, 7:] += change[:, 6:freedoms]
+        self._states[:, 1 + count :] += change[:, freedoms : 2 * freedoms]
+        self._slopes += change[:, 2 * freedoms :]
+        self._tilt_gravity()
+
+
+def _turned(quaternions: FloatArray, angles: FloatArray) -> FloatArray:
+    """Return quaternions (m, 4) turned by small angles (m, 3) about their own axes [rad]."""
+    w, v = quaternions[:, :1], quaternions[:, 1:]
+    half = 0.5 * angles
+    real = w - np.sum(v * half, axis=1, keepdims=True)
+    found = np.hstack([real, v + w * half + np.cross(v, half)])
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
