@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy.special
 
 from controllers.sensing.diagnosis import Finding
 from perception.geometry.arrays import FloatArray
@@ -35,12 +36,14 @@ class Change:
         unit: Unit of its size.
         direction: (k,) what one unit changes of each deviation.
         spread: How large it may well be, in its unit.
+        sign: 1 or -1 for one whose size is above or below zero only; 0 for both.
     """
 
     name: str
     unit: str
     direction: FloatArray
     spread: float
+    sign: int = 0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -136,6 +139,7 @@ class ChangeDetector:
         # All inside is in spreads, so that no number is much larger than another.
         self._directions = np.array([each.direction / self._spreads for each in self.changes])
         self._sizes = np.array([each.spread for each in self.changes])
+        self._signs = np.array([each.sign for each in self.changes])
         self.reset()
 
     def reset(self) -> None:
@@ -279,7 +283,11 @@ class ChangeDetector:
         precision = np.maximum(precision, _LEAST / self._sizes**2)
         sizes = self._directions @ pull / precision
         within = precision * self._sizes**2
-        ratios = 0.5 * (sizes**2 * precision * within / (1.0 + within) - np.log1p(within))
+        ahead = sizes * np.sqrt(precision * within / (1.0 + within))
+        ratios = 0.5 * (ahead**2 - np.log1p(within))
+        # Of a change of one sign the other half of the sizes counts for nothing.
+        half = np.log(2.0) + scipy.special.log_ndtr(self._signs * ahead)
+        ratios += np.where(self._signs == 0, 0.0, half)
         misfit = sum(self._misfit(block) for block in blocks) - float(score @ left[:, -1])
         numbers = sum(int(np.count_nonzero(block.ticks)) for block in blocks)
         return _Window(ratios, sizes, precision**-0.5, misfit, numbers)

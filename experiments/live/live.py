@@ -32,7 +32,7 @@ from twin.shadow.deviations import Deviation, rover_deviations, shadow_scene
 from twin.shadow.readings import CHANNELS
 from twin.shadow.shadow import Shadow
 
-KINDS = ("load", "spring", "drag", "supply", "zero")
+KINDS = ("load", "spring", "grip", "drag", "supply", "zero")
 """First words of the deviations, each a panel of the figure."""
 
 
@@ -188,7 +188,7 @@ def changes_of(deviations: Sequence[Deviation]) -> list[Change]:
     rows = np.eye(len(deviations))
     single = [Change(each.name, each.unit, row, each.change) for each, row in zip(deviations, rows)]
     supply = np.array([float(each.name.startswith("supply")) for each in deviations])
-    return [*single, Change("battery", "1", supply, 0.3)]
+    return [*single, Change("battery", "1", supply, 0.3, 1)]
 
 
 def _rms(squares: FloatArray) -> float:

@@ -1,7 +1,7 @@
 """Ways in which a rover may differ from its drawing, each by one number that is zero as drawn."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -33,6 +33,7 @@ class Deviation:
         unit: Unit of its number.
         spread: Standard deviation among new robots, and so what is known beforehand.
         change: Standard deviation of what may happen to it later.
+        sign: 1 or -1 where it can then only grow or fall, as springs only get softer; 0 for both.
         step: Number with which its effect is calculated: large, as wheels lift and slide anew for
             every little difference.
         write: Function that gives it to a compiled model.
@@ -44,6 +45,7 @@ class Deviation:
     unit: str
     spread: float
     change: float
+    sign: int
     step: float
     write: Writer = lambda model, value: None
     supply: Mapping[str, float] = dataclasses.field(default_factory=dict[str, float])
@@ -91,22 +93,29 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
     """
     name = robot.name
     found = [
-        Deviation(f"load {place}", "kg", spread, change, step, _load(f"{name}/load_{place}"))
+        Deviation(f"load {place}", "kg", spread, change, 1, step, _load(f"{name}/load_{place}"))
         for place, spread, change, step in (("base", 0.1, 1.5, 1.0), ("gripper", 0.02, 0.2, 0.1))
     ]
     for wheel in robot.wheels:
         spring = _factor("joint", f"{name}/{wheel.name}_suspension_joint", "stiffness")
         share = TOLERANCES.spring * _UNIFORM
-        found.append(Deviation(f"spring {wheel.name}", "1", share, 0.4, -0.4, spring))
+        found.append(Deviation(f"spring {wheel.name}", "1", share, 0.4, -1, -0.4, spring))
     for wheel in robot.wheels:
         drag = _friction(f"{name}/{wheel.name}_joint")
-        found.append(Deviation(f"drag {wheel.name}", "N m", 0.05, 0.5, 0.2, drag))
+        found.append(Deviation(f"drag {wheel.name}", "N m", 0.05, 0.5, 1, 0.2, drag))
+    low, high = TOLERANCES.tyre_friction or (1.0, 1.0)
+    spread = (high - low) / (high + low) * _UNIFORM
+    found.append(Deviation("grip all", "1", spread, 0.3, -1, -0.3, _grip(name, robot.wheel_names)))
+    for wheel in robot.wheels:
+        found.append(
+            Deviation(f"grip {wheel.name}", "1", 0.05, 0.3, -1, -0.3, _grip(name, [wheel.name]))
+        )
     for joint in robot.arm.joints if robot.arm else ():
         friction = _friction(f"{name}/{joint.name}_joint")
         spread = TOLERANCES.joint_friction * _UNIFORM * joint.friction
-        found.append(Deviation(f"drag {joint.name}", "N m", spread, 0.3, 0.05, friction))
+        found.append(Deviation(f"drag {joint.name}", "N m", spread, 0.3, 1, 0.05, friction))
     for axis in robot.axes:
-        found.append(Deviation(f"supply {axis}", "1", 0.05, 0.3, 0.2, supply={axis: 1.0}))
+        found.append(Deviation(f"supply {axis}", "1", 0.05, 0.3, 1, 0.2, supply={axis: 1.0}))
     zeros = {
         "arm_angles": (robot.joint_names, "rad", SENSOR_ERRORS.encoder_zero, 0.005),
         "inclinometer": (("pitch", "roll"), "rad", SENSOR_ERRORS.inclinometer_zero, 0.005),
@@ -115,7 +124,7 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
         for number, label in enumerate(labels):
             reading = {(channel, number): 1.0}
             spread = most * _UNIFORM
-            found.append(Deviation(f"zero {label}", unit, spread, 0.03, step, reading=reading))
+            found.append(Deviation(f"zero {label}", unit, spread, 0.03, 0, step, reading=reading))
     return found
 
 
@@ -132,6 +141,14 @@ def _load(body: str) -> Writer:
 def _factor(kind: str, name: str, what: str) -> Writer:
     def write(model: mujoco.MjModel, value: float) -> None:
         getattr(getattr(model, kind)(name), what)[0] *= 1.0 + value
+
+    return write
+
+
+def _grip(robot: str, wheels: Sequence[str]) -> Writer:
+    def write(model: mujoco.MjModel, value: float) -> None:
+        for wheel in wheels:
+            model.geom(f"{robot}/{wheel}_tyre").friction[0] *= 1.0 + value
 
     return write
 

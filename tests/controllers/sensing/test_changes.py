@@ -72,11 +72,12 @@ def test_the_robot_is_learned_as_least_squares_learns_it():
 
 def test_ratio_is_that_of_the_likelihoods_integrated_over_the_size():
     rng = np.random.default_rng(2)
-    detector = ChangeDetector(SPREADS, CHANGES, dataclasses.replace(CONFIG, learning=10**6))
+    changes = [dataclasses.replace(each, sign=sign) for sign in (0, 1, -1) for each in CHANGES]
+    detector = ChangeDetector(SPREADS, changes, dataclasses.replace(CONFIG, learning=10**6))
     for values, slopes in innovations(rng, 200, lambda tick: np.zeros(3)):
         detector.step(values, SIGMA, slopes)
     blocks = list(detector._recent)[-4:]
-    ratios, *_ = detector._compare(blocks)
+    ratios = detector._compare(blocks).ratios
     # By brute force: all block means as one Gaussian vector, whose mean the change moves.
     variances = detector._variances
     slopes = np.vstack([block.slopes.T for block in blocks])
@@ -85,7 +86,7 @@ def test_ratio_is_that_of_the_likelihoods_integrated_over_the_size():
     known = detector._covariance
     covariance = np.diag(noise) + slopes @ known @ slopes.T
     off = values - slopes @ detector._mean
-    for change, ratio in zip(CHANGES, ratios, strict=True):
+    for change, ratio in zip(changes, ratios, strict=True):
         along = slopes @ (change.direction / SPREADS)
 
         none = scipy.stats.multivariate_normal.logpdf(off, np.zeros(len(off)), covariance)
@@ -95,7 +96,9 @@ def test_ratio_is_that_of_the_likelihoods_integrated_over_the_size():
             return np.exp(moved - none) * scipy.stats.norm.pdf(size, scale=change.spread)
 
         reach = 8.0 * change.spread
-        expected, _ = scipy.integrate.quad(likelihood, -reach, reach, limit=400, points=[0.0])
+        sizes = {0: (-reach, reach), 1: (0.0, reach), -1: (-reach, 0.0)}[change.sign]
+        expected, _ = scipy.integrate.quad(likelihood, *sizes, limit=400)
+        expected *= 2.0 if change.sign else 1.0
         assert ratio == pytest.approx(np.log(expected), abs=1e-3)
 
 
