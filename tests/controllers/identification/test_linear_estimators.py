@@ -77,17 +77,23 @@ def test_noise_adds_to_the_products_what_the_equations_say():
     the truth."""
     clean = predicted("x")[100:150]
     sigma = noise_bound({mode: predicted(mode) for mode in MODES}) / np.sqrt(3)
+    draws = 400
     generator = np.random.default_rng(6)
     turned = np.append(TRUTH, -1.0)
     without = Equations.of(clean, sigma, ARMS["x"])
-    left, wanted = [], without.noise @ turned @ turned
-    for _ in range(400):
-        outputs = clean + generator.normal(size=clean.shape) * sigma
-        left.append(Equations.of(outputs, sigma, ARMS["x"]).products @ turned @ turned)
+    wanted = without.noise @ turned @ turned
     np.testing.assert_allclose(without.products @ turned @ turned, 0, atol=1e-3)
+    outputs = clean + generator.normal(size=(draws, *clean.shape)) * sigma
+    # Only the products are wanted: their residuals, of all draws at once.
+    matrix, right = regressor(outputs.reshape(-1, clean.shape[1]), ARMS["x"])
+    left = (matrix @ TRUTH - right).reshape(draws, len(clean), -1)
+    products = np.einsum("dni,dnj->dij", left, left)
+    for n in range(2):
+        of_one = Equations.of(outputs[n], sigma, ARMS["x"]).products @ turned @ turned
+        np.testing.assert_allclose(of_one, products[n], rtol=1e-6)
     scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
     # Sums of 50 squares vary by a fifth; the mean of 400 such by a hundredth.
-    np.testing.assert_allclose((np.mean(left, axis=0) - wanted) / scale, 0, atol=0.05)
+    np.testing.assert_allclose((products.mean(axis=0) - wanted) / scale, 0, atol=0.05)
 
 
 def test_compensated_least_squares_lose_the_bias_of_plain_ones():
