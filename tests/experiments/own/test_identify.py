@@ -49,9 +49,9 @@ def identify(folder, name, *words):
 
 @pytest.fixture(scope="module")
 def leg(tmp_path_factory):
-    """A leg, identified from 4 s and confirmed by 4 s."""
+    """A leg, identified from 2.5 s and confirmed by 2.5 s."""
     folder = tmp_path_factory.mktemp("leg")
-    write_runs(folder, "leg", 4.0)
+    write_runs(folder, "leg", 2.5)
     words = ["--log", f"{folder}/a.csv", "--hold-out", f"{folder}/b.csv"]
     words += ["--parameters", "joint.*", "body.*.mass", "delay"]
     status = identify(folder, "leg", *words)
@@ -97,7 +97,7 @@ def test_everything_is_written_and_the_model_loads(leg):
 
 def test_robot_that_the_model_does_not_explain_is_not_called_good(tmp_path, capsys):
     """Its friction has changed, and is not among what is sought."""
-    write_runs(tmp_path, "cart", 1.5)
+    write_runs(tmp_path, "cart", 1.0)
     words = ["--log", f"{tmp_path}/a.csv", "--hold-out", f"{tmp_path}/b.csv"]
     assert identify(tmp_path, "cart", *words, "--parameters", "joint.root.*") == 1
     out = capsys.readouterr().out
@@ -125,7 +125,7 @@ def test_nothing_is_good_without_a_run_held_out(tmp_path, capsys):
 
 
 def test_the_same_run_in_another_format_gives_the_same(tmp_path, capsys):
-    write_runs(tmp_path, "cart", 2.0, lambda spec: None, "a")
+    write_runs(tmp_path, "cart", 1.0, lambda spec: None, "a")
     table, mapping = f"{tmp_path}/a.csv", f"{tmp_path}/robot.toml"
     assert main(["log", table, "--mapping", mapping, "--write", f"{tmp_path}/a.mcap"]) == 0
     found = []
@@ -141,7 +141,7 @@ def test_the_same_run_in_another_format_gives_the_same(tmp_path, capsys):
 
 def test_a_run_that_begins_moving_is_asked_for_its_parameters_alone(tmp_path):
     """Where it begins is sought too, and no result."""
-    write_runs(tmp_path, "cart", 3.0, lambda spec: None, "ab")
+    write_runs(tmp_path, "cart", 1.5, lambda spec: None, "ab")
     words = ["--log", f"{tmp_path}/a.csv", "--hold-out", f"{tmp_path}/b.csv", "--start", "moving"]
     identify(tmp_path, "cart", *words, "--parameters", "joint.*.stiffness", "delay", CENTRE)
     found = json.loads((tmp_path / "found" / "identified.json").read_text())
