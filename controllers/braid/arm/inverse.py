@@ -29,6 +29,8 @@ TAIL = 6
 """Stages whose words are kept in a tree; the stages before them are enumerated."""
 MAX_MET = TAIL + 6
 """Stages that are searched exactly at most: 2 million first halves."""
+KEPT_TABLES = 8
+"""Tables of words that are kept for other arms of the same stages; one of six stages has 25 MB."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,7 +118,6 @@ class BinaryArm:
         self.geometry = geometry or StageGeometry()
         self.config = config or InverseConfig()
         self.stages = state_poses(self.geometry)
-        self._parts: dict[tuple[int, bool], WordTable] = {}
 
     @property
     def turn_weight(self) -> float:
@@ -134,12 +135,7 @@ class BinaryArm:
             count: Number of stages.
             bodies: Keep also the words that reach the pose of another by another body.
         """
-        key = (count, bodies)
-        if key not in self._parts:
-            words = all_words(count) if bodies else reduced_words(count)
-            poses = forward(self.stages, words)
-            self._parts[key] = WordTable(words, poses, build_tree(poses, self.config.weight))
-        return self._parts[key]
+        return _table(self.geometry, self.config.weight, count, bodies)
 
     @functools.cached_property
     def tail_shape(self) -> TailShape:
@@ -153,6 +149,14 @@ class BinaryArm:
         half = np.linalg.norm(off[3:]) / np.sqrt(8.0)  # |dR|_F = sqrt(8) sin(angle / 2)
         angle = 2.0 * float(np.arcsin(min(half, 1.0)))
         return WordSolution(word, squared**0.5, float(np.linalg.norm(off[:3])), angle)
+
+
+@functools.lru_cache(maxsize=KEPT_TABLES)
+def _table(geometry: StageGeometry, weight: float, count: int, bodies: bool) -> WordTable:
+    """Return what `BinaryArm.part` does; arms of equal stages have the same words and poses."""
+    words = all_words(count) if bodies else reduced_words(count)
+    poses = forward(state_poses(geometry), words)
+    return WordTable(words, poses, build_tree(poses, weight))
 
 
 Check = LinkCheck | None
