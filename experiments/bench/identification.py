@@ -58,7 +58,7 @@ from perception.geometry.gravity import GRAVITY
 DURATION = 4.0
 """Length of the recording, for both sides [s]; 10 s would take the peer minutes and change no
 ratio."""
-QUICK_DURATION = 1.2
+QUICK_DURATION = 0.8
 ITERATIONS = 12
 """Most iterations of the peer, each of at least 23 simulations."""
 PLANT_SUBSTEPS = 50
@@ -392,7 +392,7 @@ def bench_identification(options: Options, output: Output) -> None:
     """Fit the same data by our estimator and by the peer, each at its best.
 
     Args:
-        options: ``quick`` records 1.2 s instead of 4 s, for both; ``seeds`` repetitions (4 of the
+        options: ``quick`` records 0.8 s instead of 4 s, for both; ``seeds`` repetitions (4 of the
             peer's own search, which takes minutes, and 16 of the errors at the least cost).
         output: Receives ``sysid_time_ratio``, ``sysid_error_ratio`` and what they are made of.
     """
