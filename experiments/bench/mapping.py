@@ -29,7 +29,7 @@ MAX_DEPTH = 1.6
 """Points farther away are left out [m], as a stereo rig does."""
 GROUND = 0.0033
 """Height of the ground [m]: inside a voxel, not on a face, where its voxel would be a toss."""
-CLOUDS, QUICK_CLOUDS, FINE_CLOUDS = 20, 5, 4
+CLOUDS, QUICK_CLOUDS, FINE_CLOUDS = 20, 3, 4
 """Clouds inserted; fewer at 5 mm, where each takes OctoMap seconds."""
 VIEWS = 20
 """Number of views that are evaluated, as candidates are."""

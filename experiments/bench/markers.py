@@ -45,7 +45,7 @@ RANGES = (0.35, 0.5, 0.7, 0.9, 1.1)
 QUICK_RANGES = (0.35, 0.5, 1.1)
 SLANTS = (0.0, 20.0, 40.0, 60.0)
 """Angles between the markers' normal and the line of sight [deg]."""
-VIEWS, QUICK_VIEWS = 12, 2
+VIEWS, QUICK_VIEWS = 12, 1
 """Number of pairs of each range and slant."""
 HEAD_ON = (0.5, 0.0)
 _FAR = 3.0  # Largest distance of a detection from the marker that it belongs to [px].
