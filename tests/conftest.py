@@ -114,8 +114,14 @@ def pytest_collection_modifyitems(config, items):
 
 
 def _put_slow_files_first(items):
-    """Let no worker begin a long file when the others are about to end."""
-    slow = collections.Counter(
-        item.path for item in items if item.get_closest_marker("slow") is not None
-    )
-    items.sort(key=lambda item: item.path not in slow)
+    """Let no worker begin a long file when the others are about to end, nor two the same folder.
+
+    Files of one folder need the same kernels, which workers that run side by side compile twice:
+    of each folder comes the first slow file, then of each the second, and so on.
+    """
+    slow = dict.fromkeys(item.path for item in items if item.get_closest_marker("slow") is not None)
+    before, number = collections.Counter(), {}
+    for path in slow:
+        number[path] = before[path.parent]
+        before[path.parent] += 1
+    items.sort(key=lambda item: number.get(item.path, len(slow)))
