@@ -22,11 +22,11 @@ LIMITS = "[joints.root]\nposition = [-0.3, 0.3]\n[joints.rail]\nrate = 1.0\n"
 
 @pytest.fixture(scope="module")
 def designed(tmp_path_factory):
-    """A motion of the cart, of 4 s."""
+    """A motion of the cart, of 3.2 s."""
     folder = tmp_path_factory.mktemp("excite")
     (folder / "limits.toml").write_text(LIMITS)
     words = ["excite", "--model", hidden.robot("cart"), "--limits", f"{folder}/limits.toml"]
-    words += ["--duration", "4", "--generations", "3", "--parameters", *NAMES]
+    words += ["--duration", "3.2", "--generations", "2", "--parameters", *NAMES]
     assert main([*words, "--out", f"{folder}/motion.csv"]) == 0
     with (folder / "motion.csv").open() as stream:
         head, *rows = csv.reader(stream)
@@ -61,13 +61,13 @@ def test_motion_tells_more_than_a_chirp_within_the_same_limits(designed):
     folder, _, rows = designed
     spec = load_model(folder.__class__(hidden.robot("cart")))
     model = spec.compile()
-    options = Options(model=folder, parameters=(), out=folder / "a.csv", duration=4.0)
+    options = Options(model=folder, parameters=(), out=folder / "a.csv", duration=3.2)
     parameters = select(explicit(spec), NAMES, sensors(model))
-    series = Given(np.zeros(1), 4.0, 2.0)
+    series = Given(np.zeros(1), 3.2, 2.0)
     stamps = rows[:, 0]
-    chirp = np.sin(2.0 * np.pi * (0.1 * stamps + 1.9 * stamps**2 / 8.0)) * np.minimum(stamps, 1.0)
+    chirp = np.sin(2.0 * np.pi * (0.1 * stamps + 1.9 * stamps**2 / 6.4)) * np.minimum(stamps, 1.0)
     limits = read_limits(folder / "limits.toml", model)
-    steps = np.arange(0.0, 4.0, model.opt.timestep)
+    steps = np.arange(0.0, 3.2, model.opt.timestep)
     sizes = [
         size
         for size in np.geomspace(0.1, 30.0, 60)

@@ -77,7 +77,7 @@ def test_peer_finds_what_we_find_on_a_short_log():
     kind = KINDS["leg"]
     generator = np.random.default_rng(5)
     truth = drawn_coordinates(kind, generator)
-    series = series_of(kind, 4.0)
+    series = series_of(kind, 2.5)
     log = logged(kind, truth, fitted(kind, series, series.random(generator)), generator)
     asked = [each for each in kind.selected() if each.name not in kind.planted]
     found = fit_by_peer(kind.spec(), asked, log)

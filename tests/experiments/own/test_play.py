@@ -71,9 +71,9 @@ def test_a_hidden_rover_on_boards_is_identified_by_commands_alone(tmp_path, caps
     write_files(tmp_path)
     friction = [f"joint.{joint}_joint.friction" for joint in ARM]
     words = ["--model", "servo.xml", "--limits", "limits.toml", "--parameters", *friction]
-    words += ["--duration", "3.5", "--highest", "1", "--period", "0.01", "--generations", "1"]
+    words += ["--duration", "3.1", "--highest", "1", "--period", "0.01", "--generations", "1"]
     assert main(["excite", *words, "--out", "motion.csv"]) == 0
-    unseen = waves(3.5, np.array([0.5, 0.3, 0.4, 0.5]), np.array([0.6, 0.45, 0.7, 0.9]))
+    unseen = waves(2.5, np.array([0.5, 0.3, 0.4, 0.5]), np.array([0.6, 0.45, 0.7, 0.9]))
     write_motion(tmp_path / "unseen.csv", ARM, *unseen)
     made = ["--robot", "emulated", "--realism", "default", "--seed", "5"]
     for name in ("motion", "unseen"):
