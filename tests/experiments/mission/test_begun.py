@@ -13,7 +13,7 @@ from tests.twin.recording.test_record import columns
 from tests.twin.test_truth_barrier import leaks
 from twin.loop import LoopRecorder
 
-SECONDS = 60.0
+SECONDS = 40.0
 """Robot time of the mission that is begun: the identification and the first drives."""
 
 
