@@ -57,11 +57,11 @@ from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from twin.hardware.emulator.amplifier import AmplifierConfig
 
-TRIALS = (200, 24)  # full, quick
+TRIALS = (200, 12)  # full, quick
 RATES = {0.03: (4000, 200), 0.1: (4000, 150), 0.3: (2000, 50)}
 """Calls by share of damaged exchanges: full, quick."""
 CALL_BOUND = 60.0  # [ms]
-PACE = (60.0, 5.0)  # [s] on the wall clock: full, quick
+PACE = (60.0, 3.0)  # [s] on the wall clock: full, quick
 MISS_BOUND = 0.01
 LINES = {"clean": 0.0, "faulted": 0.03}
 CYCLES = (1000, 100)  # that must be the same to the bit: full, quick
@@ -79,7 +79,7 @@ def run(options: Options, output: Output) -> None:
     """Break things, and measure what the adapter does.
 
     Args:
-        options: ``quick`` does 24 fault trials instead of 200, and shortens all else.
+        options: ``quick`` does 12 fault trials instead of 200, and shortens all else.
         output: Receives ``stopped_fraction``, ``stop_time/<fault>``, ``worst_call_ms``,
             ``wrong_values``, ``miss_fraction``, ``adapter_ms`` and ``identical_cycles/<line>``;
             of the matrix ``matrix_zero_fraction``, ``matrix_zero_ms``,

@@ -175,7 +175,7 @@ def test_quick_run_stops_the_motors_after_each_fault_and_writes_everything(tmp_p
     folder = tmp_path / "appd-boards"
     metrics = json.loads((folder / "metrics.json").read_text())
     measured = metrics["measured"]
-    assert measured["stopped_fraction"]["median"] == 1.0 and measured["stopped_fraction"]["n"] == 22
+    assert measured["stopped_fraction"]["median"] == 1.0 and measured["stopped_fraction"]["n"] == 11
     for kind in STOPPING:
         assert 0.0 < measured[f"stop_time/{kind}"]["median"]
         assert measured[f"stop_time_worst/{kind}"] <= 0.21 + 1e-9

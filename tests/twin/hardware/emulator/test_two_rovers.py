@@ -9,7 +9,7 @@ from twin.loop import run
 from twin.robot import Command, Lifecycle, WheelMode
 
 ROVERS = ("rover1", "rover2")
-SLOW_DOWN = 20
+SLOW_DOWN = 10
 """On two cores that are both busy otherwise a pair takes up to a second from request to image."""
 
 
