@@ -1,6 +1,8 @@
 """Noise textures of the field, as materials of a scene, and its sun."""
 
+import functools
 import math
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -8,6 +10,8 @@ from numpy.typing import NDArray
 
 from models import terrain
 from models.configuration import FieldConfig
+
+_SOLIDS = ("rock", "block")
 
 
 def add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
@@ -18,25 +22,17 @@ def add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
         field: Gives the seed and the size of the textures.
     """
     seed = np.random.SeedSequence(field.seed).spawn(3)[2]
-    rng = np.random.default_rng(seed)
-    image = terrain.noise_texture(rng, field.texture_pixels)
-    face = min(field.texture_pixels, 256)
+    has_solids, has_panel = field.blocks > 0 or bool(field.screens), field.panel is not None
+    entropy: Any = seed.entropy  # A number, as `field.seed` is.
+    images = _images((int(entropy), *seed.spawn_key), field.texture_pixels, has_solids, has_panel)
     flat, cube = mujoco.mjtTexture.mjTEXTURE_2D, mujoco.mjtTexture.mjTEXTURE_CUBE
-    _add_texture(scene, "ground", flat, image)
-    _add_texture(scene, "rock", cube, np.tile(image[:face, :face], (6, 1, 1)))
+    for name, image in images.items():
+        _add_texture(scene, name, cube if name in _SOLIDS else flat, image)
     # Flat things' textures repeat by their length, which MuJoCo counts over two metres. Each face
     # of a solid bears one.
     repeats = 2.0 / field.texture_tile
-    flats = ["ground"]
-    solids = ["rock"]
-    if field.blocks > 0 or field.screens:
-        faces = [terrain.noise_texture(rng, face, terrain.BLOCK) for _ in range(6)]
-        _add_texture(scene, "block", cube, np.concatenate(faces))
-        solids.append("block")
-    if field.panel is not None:
-        image = terrain.noise_texture(rng, field.texture_pixels, terrain.PANEL)
-        _add_texture(scene, "panel", flat, image)
-        flats.append("panel")
+    flats = [name for name in images if name not in _SOLIDS]
+    solids = [name for name in images if name in _SOLIDS]
     for name in (*flats, *solids):
         textures = [""] * int(mujoco.mjtTextureRole.mjNTEXROLE)
         textures[int(mujoco.mjtTextureRole.mjTEXROLE_RGB)] = name
@@ -48,6 +44,35 @@ def add_materials(scene: mujoco.MjSpec, field: FieldConfig) -> None:
             specular=0.0,
             shininess=0.0,
         )
+
+
+@functools.lru_cache(maxsize=4)
+def _images(
+    seed: tuple[int, ...], pixels: int, has_solids: bool, has_panel: bool
+) -> dict[str, NDArray[np.uint8]]:
+    """Return textures by name, those of a solid's six faces below each other.
+
+    They are kept, as they take longer than all else of a scene, and many scenes have the same seed.
+
+    Args:
+        seed: Entropy of the seed, and its place among its parent's children.
+        pixels: Edge of the textures of flat things.
+        has_solids: Whether blocks or screens are there.
+        has_panel: Whether a panel is there.
+    """
+    entropy, *key = seed
+    rng = np.random.default_rng(np.random.SeedSequence(entropy, spawn_key=key))
+    image = terrain.noise_texture(rng, pixels)
+    face = min(pixels, 256)
+    images = {"ground": image, "rock": np.tile(image[:face, :face], (6, 1, 1))}
+    if has_solids:
+        faces = [terrain.noise_texture(rng, face, terrain.BLOCK) for _ in range(6)]
+        images["block"] = np.concatenate(faces)
+    if has_panel:
+        images["panel"] = terrain.noise_texture(rng, pixels, terrain.PANEL)
+    for each in images.values():
+        each.setflags(write=False)
+    return images
 
 
 def draw_sun(scene: mujoco.MjSpec, field: FieldConfig) -> None:
