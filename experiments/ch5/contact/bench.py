@@ -142,9 +142,9 @@ class HandBench:
     def _contacts(self) -> list[tuple[FloatArray, FloatArray]]:
         """Points and forces on the card, (3,) each, slot's frame."""
         result, plate = [], self.model.geom("card_plate").id
-        for index, contact in enumerate(self.data.contact):
-            if plate not in contact.geom:
-                continue
+        # Few of many contacts are the card's, and each takes longer to look at than all geoms.
+        for index in np.flatnonzero((self.data.contact.geom == plate).any(axis=1)).tolist():
+            contact = self.data.contact[index]
             mujoco.mj_contactForce(self.model, self.data, index, self._wrench)
             force = contact.frame.reshape(3, 3).T @ self._wrench[:3]
             sign = 1.0 if contact.geom[1] == plate else -1.0
