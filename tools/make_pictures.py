@@ -139,12 +139,15 @@ RECIPES = (
         f"-m experiments ch5-insertion --quick --record --out {OUT}\n"
         f"-m twin.recording.record screenshot {OUT}/ch5-insertion/run.rrd {OUT}/viewer.png",
         {"docs/viewer.png": Shown(f"{OUT}/viewer.png", 1200, 64)},
+        "two minutes",
     ),
     _experiment(
         "appd-boards", {"docs/fault_stops.png": Shown("figures/fault_stops.png")}, "four minutes"
     ),
     _experiment(
-        "bench --only markers", {"docs/fiducials.png": Shown("figures/fiducials.png")}
+        "bench --only markers",
+        {"docs/fiducials.png": Shown("figures/fiducials.png")},
+        "two minutes",
     ),
 )  # fmt: skip
 
