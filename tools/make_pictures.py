@@ -145,9 +145,7 @@ RECIPES = (
         "appd-boards", {"docs/fault_stops.png": Shown("figures/fault_stops.png")}, "four minutes"
     ),
     _experiment(
-        "bench --only markers",
-        {"docs/fiducials.png": Shown("figures/fiducials.png")},
-        "two minutes",
+        "bench --only markers", {"docs/fiducials.png": Shown("figures/fiducials.png")}
     ),
 )  # fmt: skip
 
