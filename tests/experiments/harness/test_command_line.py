@@ -91,7 +91,10 @@ def test_without_name_experiments_are_listed_without_importing_them(capsys):
         (["silent", "--jobs", "2"], "--jobs"),
         (["silent", "--seeds", "2"], "--seeds"),
         (["tiny", "--format", "gif"], "Expected one of ('png', 'svg', 'pdf')"),
-        (["nothing-like-it"], "there are tiny, silent, view, drive, live, doctor, calibrate, truth-"),
+        (
+            ["nothing-like-it"],
+            "there are tiny, silent, view, drive, live, doctor, calibrate, truth-",
+        ),
         (["doctor", "--deep"], "--deep"),
     ],
 )
