@@ -32,7 +32,7 @@ class Change:
     """A change that there may be.
 
     Attributes:
-        name: Such as ``load in the gripper``.
+        name: Such as ``load gripper``.
         unit: Unit of its size.
         direction: (k,) what one unit changes of each deviation.
         spread: How large it may well be, in its unit.
@@ -153,7 +153,7 @@ class ChangeDetector:
 
     @property
     def deviations(self) -> FloatArray:
-        """(k,) what the robot deviates by, as learned."""
+        """(k,) what the robot deviates from the twin by, as learned."""
         return self._mean * self._spreads
 
     @property
@@ -168,11 +168,6 @@ class ChangeDetector:
         if np.isnan(self.evidence).any():
             return float("nan")
         return float(np.logaddexp.reduce(self.evidence) - np.log(len(self.changes)))
-
-    @property
-    def alarmed(self) -> bool:
-        """Whether something changed that is not named yet."""
-        return self._alarmed >= 0
 
     def step(
         self, values: FloatArray, sigma: FloatArray, sensitivities: FloatArray
@@ -204,14 +199,13 @@ class ChangeDetector:
         return self._look()
 
     def accept(self, change: Change, finding: Finding) -> None:
-        """Take a change as part of the robot from now on.
+        """Go on with a twin that has a change, and learn for a while.
 
         Args:
             change: The change.
-            finding: Its size.
+            finding: Its size, as the twin has it from now on.
         """
         along = change.direction / self._spreads
-        self._mean = self._mean + along * finding.size
         self._covariance = self._covariance + finding.sigma**2 * np.outer(along, along)
         self._recent.clear()
         self.evidence = np.full(len(self.changes), np.nan)

@@ -43,7 +43,7 @@ class Block:
     Attributes:
         time: Robot time at its end [s].
         surprise: (channels,) root mean square of the innovations over their deviations.
-        deviations: (k,) learned deviations.
+        deviations: (k,) deviations from the drawing, as learned and as named.
         sigma: (k,) their standard deviations.
         evidence: Logarithm of how much likelier a change is than none; NaN while learning.
     """
@@ -135,6 +135,11 @@ class Twin:
         self.blocks: list[Block] = []
         self.named: list[Named] = []
 
+    @property
+    def slope(self) -> FloatArray:
+        """(2,) of the ground, pitch and roll [rad]."""
+        return self._shadow.slope
+
     def close(self) -> None:
         """End the shadow's threads."""
         self._shadow.close()
@@ -167,20 +172,21 @@ class Twin:
             Block(
                 time,
                 np.array(surprise),
-                detector.deviations,
+                self._shadow.known + detector.deviations,
                 np.sqrt(np.diag(detector.covariance)),
                 detector.odds,
             )
         )
 
     def _name(self, found: Finding, time: float) -> None:
-        known = {each.name: each for each in self._changes}
-        change = known.get(found.name)
+        there = {each.name: each for each in self._changes}
+        change = there.get(found.name)
         self.named.append(Named(time, found, change.unit if change else ""))
         if change is None:
             self._detector.reset()
-        else:
-            self._detector.accept(change, found)
+            return
+        self._shadow.know(self._shadow.known + change.direction * found.size)
+        self._detector.accept(change, found)
 
 
 def changes_of(deviations: Sequence[Deviation]) -> list[Change]:
@@ -215,6 +221,7 @@ def write_all(twin: Twin, deviations: Sequence[Deviation], folder: Path) -> None
             {"time": each.time, "unit": each.unit, **dataclasses.asdict(each.finding)}
             for each in twin.named
         ],
+        "slope": twin.slope.tolist(),
         "innovations_over_sigma": {
             name: value for name, value in zip(CHANNELS, _rms_of(blocks).tolist(), strict=True)
         },
@@ -308,6 +315,8 @@ def print_found(twin: Twin, deviations: Sequence[Deviation]) -> None:
         print(_said(named))
     if not twin.named:
         print("no change was found")
+    pitch, roll = np.degrees(twin.slope)
+    print(f"the ground rises by {pitch:+.1f} deg ahead, and falls by {roll:+.1f} deg to the right")
 
 
 def _said(named: Named) -> str:

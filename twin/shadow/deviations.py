@@ -15,7 +15,6 @@ from twin.description import RobotDescription
 DECK = (0.0, -0.11, 0.06)
 """Where a load on the base is taken to lie, in the rear half's frame [m]: on the middle of its
 deck."""
-LOADS = ("base", "gripper")
 TIME_STEP = 0.002
 """Physics step of a shadow [s], twice the scenes': its errors stay below the sensors' noise."""
 _HALF_LOAD = 0.025  # Half size of a load, of which its inertia follows [m].
@@ -29,7 +28,7 @@ class Deviation:
     """One way to differ.
 
     Attributes:
-        name: Such as ``spring of front_left``.
+        name: Such as ``spring front_left``.
         unit: Unit of its number.
         spread: Standard deviation among new robots, and so what is known beforehand.
         change: Standard deviation of what may happen to it later.

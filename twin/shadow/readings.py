@@ -28,7 +28,6 @@ class Readings:
     Attributes:
         size: Count of all numbers.
         channels: Where each channel's numbers are, by its name.
-        names: (size,) such as ``arm_rates[2]``.
         sigma: (size,) standard deviations of the noise by datasheet, rounding included.
         joints: Addresses of the arm's joints in the positions and in the rates.
         wheels: Addresses of the wheels in the rates.
@@ -37,13 +36,11 @@ class Readings:
 
     def __init__(self, model: mujoco.MjModel, robot: RobotDescription) -> None:
         self.channels: dict[str, slice[int, int, None]] = {}
-        self.names: list[str] = []
         widths = channel_widths(robot)
+        self.size = 0
         for name in CHANNELS:
-            first = len(self.names)
-            self.channels[name] = slice(first, first + widths[name])
-            self.names += [f"{name}[{number}]" for number in range(widths[name])]
-        self.size = len(self.names)
+            self.channels[name] = slice(self.size, self.size + widths[name])
+            self.size += widths[name]
         self.sigma: FloatArray = np.concatenate([_sigma(name, widths[name]) for name in CHANNELS])
         joints = [model.joint(f"{robot.name}/{name}_joint") for name in robot.joint_names]
         self.joints = (
@@ -59,13 +56,12 @@ class Readings:
         centre = model.joint(f"{robot.name}/centre_joint")
         self.centre = int(centre.qposadr[0]), int(centre.dofadr[0])
         self._positions = 1 + model.nq
-        names = [
-            (f"{robot.name}/{name}", ("arm_base_wrench", "accelerometer")[name == "accelerometer"])
-            for name in ("arm_base_force", "arm_base_torque", "accelerometer")
-        ]
         #: Columns of the sensors' data with the wrench and the specific force.
         self.forces = np.concatenate(
-            [model.sensor(name).adr[0] + np.arange(3) for name, _ in names]
+            [
+                model.sensor(f"{robot.name}/{name}").adr[0] + np.arange(3)
+                for name in ("arm_base_force", "arm_base_torque", "accelerometer")
+            ]
         )
         keep = np.exp(-2.0 * np.pi * INCLINOMETER.bandwidth * model.opt.timestep)
         self._keep = float(keep)

@@ -34,14 +34,12 @@ class Innovation(NamedTuple):
         values: (n,) measured less expected; NaN where nothing new was measured.
         sigma: (n,) their standard deviations, if the robot is as the twin.
         sensitivities: (k, n) change of the expected by one unit of each deviation.
-        expected: (n,) expected readings.
     """
 
     time: float
     values: FloatArray
     sigma: FloatArray
     sensitivities: FloatArray
-    expected: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,7 +69,6 @@ class Shadow:
         config: Noise and threads; None for the default.
 
     Attributes:
-        names: (n,) names of the readings.
         channels: Where each channel's readings are, by its name.
         deviations: (k,) as given.
         known: (k,) the deviations that the twin has.
@@ -88,7 +85,7 @@ class Shadow:
         self._drawn, self._robot = model, robot
         self.deviations = list(deviations)
         self._readings = Readings(model, robot)
-        self.names, self.channels = self._readings.names, self._readings.channels
+        self.channels = self._readings.channels
         self._steps = round(SERVO_PERIOD / model.opt.timestep)
         self._axes = np.array([model.actuator(f"{robot.name}/{name}").id for name in robot.axes])
         threads = self._config.threads
@@ -150,7 +147,6 @@ class Shadow:
             innovations[0],
             self._gain.sigma,
             (expected[1:] - expected[0]) / steps[:, None],
-            expected[0],
         )
 
     def _outer(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:

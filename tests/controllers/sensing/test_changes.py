@@ -31,14 +31,16 @@ def innovations(rng, ticks, deviations, noise=1.0):
 
 
 def watched(detector, rng, ticks, deviations, noise=1.0):
-    """Findings, by tick; each is accepted."""
-    found = []
-    for tick, (values, slopes) in enumerate(innovations(rng, ticks, deviations, noise)):
+    """Findings, by tick; the twin has each from then on."""
+    found, known = [], np.zeros(3)
+    left = innovations(rng, ticks, lambda tick: deviations(tick) - known, noise)
+    for tick, (values, slopes) in enumerate(left):
         finding = detector.step(values, SIGMA, slopes)
         if finding is not None:
             found.append((tick, finding))
             change = [each for each in CHANGES if each.name == finding.name]
             if change:
+                known += change[0].direction * finding.size
                 detector.accept(change[0], finding)
             else:
                 detector.reset()

@@ -51,6 +51,9 @@ def test_a_load_that_is_taken_is_named_with_its_size(tmp_path, capsys):
     assert change["name"] == "load gripper" and change["unit"] == "kg"
     assert CHANGED < change["time"] < CHANGED + 3.0
     assert change["size"] == pytest.approx(0.1, abs=0.03)
+    # The twin has it from then on, and learns what is left.
+    assert found["deviations"]["load gripper"]["value"] == pytest.approx(0.1, abs=0.03)
+    assert found["slope"] == pytest.approx([0.0, 0.0], abs=0.005)
     assert "load gripper +0." in printed and "deviations.png" in printed
     # Of a rover as drawn there is little to learn.
     assert abs(found["deviations"]["supply shoulder"]["value"]) < 0.05  # noqa: PLR2004
