@@ -23,7 +23,7 @@ class Options:
 
     log: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     robot: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
-    learning: float = 20.0
+    learning: Annotated[float, tyro.conf.arg(metavar="S")] = 20.0
     out: Path = Path("results/live")
 
     def __post_init__(self) -> None:
