@@ -108,7 +108,7 @@ class _Window(NamedTuple):
         sizes: Its likeliest size.
         sigmas: Standard deviation of that.
         misfit: How far they are off without any change, in squared deviations.
-        numbers: Of how many numbers.
+        numbers: Count of the block means whose squared deviations `misfit` sums.
     """
 
     ratios: FloatArray

@@ -192,7 +192,10 @@ class Twin:
 def changes_of(deviations: Sequence[Deviation]) -> list[Change]:
     """Return the changes that there may be: of each deviation, and of all motors' supply."""
     rows = np.eye(len(deviations))
-    single = [Change(each.name, each.unit, row, each.change) for each, row in zip(deviations, rows)]
+    single = [
+        Change(each.name, each.unit, row, each.change, each.sign)
+        for each, row in zip(deviations, rows)
+    ]
     supply = np.array([float(each.name.startswith("supply")) for each in deviations])
     return [*single, Change("battery", "1", supply, 0.3, 1)]
 

@@ -31,13 +31,13 @@ class ShadowNoise:
     level ground.
 
     Attributes:
-        base: Of the base's velocity [m/s] and turning [rad/s].
-        springs: Of the rates of the wheels' springs [m/s].
-        wheels: Of the wheels' speeds [rad/s].
-        joints: Of the arm's rates [rad/s].
-        centre: Of the rate of the centre joint [rad/s].
-        slope: Of the ground's slope [rad].
-        readings: Of what the model of each channel misses, by its name; forces before moments.
+        base: Change of the base's velocity [m/s] and turning [rad/s].
+        springs: Change of the rates of the wheels' springs [m/s].
+        wheels: Change of the wheels' speeds [rad/s].
+        joints: Change of the arm's rates [rad/s].
+        centre: Change of the centre joint's rate [rad/s].
+        slope: Change of the ground's slope [rad].
+        readings: What the model of each channel misses, by its name; forces before moments.
             Forces and accelerations are to correct nothing: what a load adds to them for good, the
             state would make up for.
     """

@@ -8,14 +8,15 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from experiments.__main__ import main
-from experiments.live.live import placement_of
+from experiments.live.live import changes_of, placement_of
 from models.compose import RobotPlacement
 from tests.twin.shadow.test_shadow import ROBOT, Working, add_load
 from twin.connect import connect
 from twin.logs.log import Log, Signal
 from twin.logs.writing import LogWriter, write_mcap
 from twin.loop import run
-from twin.shadow.deviations import shadow_scene
+from twin.describe import describe_rover
+from twin.shadow.deviations import rover_deviations, shadow_scene
 
 ALONE = RobotPlacement(ROBOT)
 CHANGED = 12.0
@@ -94,3 +95,14 @@ def test_the_twin_holds_what_the_log_says_that_the_rover_holds(tmp_path):
 def test_other_rovers_have_no_twin(other):
     with pytest.raises(ValueError, match="rover1: the twin is of the thesis' rover"):
         shadow_scene(RobotPlacement(ROBOT, **other))
+
+
+def test_springs_soften_motors_weaken_and_only_zeros_drift_both_ways():
+    signs = {each.name: each.sign for each in changes_of(rover_deviations(describe_rover(ROBOT)))}
+    kinds = {}
+    for name, sign in signs.items():
+        kinds.setdefault(name.split()[0], set()).add(sign)
+    assert kinds == {
+        "load": {1}, "spring": {-1}, "drag": {1}, "grip": {-1}, "supply": {1}, "battery": {1},
+        "zero": {0},
+    }  # fmt: skip
