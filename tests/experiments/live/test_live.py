@@ -12,10 +12,10 @@ from experiments.live.live import changes_of, placement_of
 from models.compose import RobotPlacement
 from tests.twin.shadow.test_shadow import ROBOT, Working, add_load
 from twin.connect import connect
+from twin.describe import describe_rover
 from twin.logs.log import Log, Signal
 from twin.logs.writing import LogWriter, write_mcap
 from twin.loop import run
-from twin.describe import describe_rover
 from twin.shadow.deviations import rover_deviations, shadow_scene
 
 ALONE = RobotPlacement(ROBOT)
