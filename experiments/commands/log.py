@@ -16,6 +16,7 @@ from twin.logs.fields import read_fields
 from twin.logs.lerobot import write_lerobot
 from twin.logs.log import Field, Log, LogError
 from twin.logs.mapping import own_sources, read_log, read_mapping
+from twin.logs.mending import mend
 from twin.logs.writing import write_mcap
 
 BAD = 1
@@ -35,6 +36,8 @@ def run(options: Options) -> int:
         ExperimentError: If the log or the mapping cannot be read, or nothing be written.
     """
     try:
+        if options.mend:
+            print_mended(options.path)
         if options.mapping is None:
             fields = read_fields(options.path)
             if not own_sources(fields):
@@ -53,6 +56,20 @@ def run(options: Options) -> int:
     for line in found:
         Console().print(f"[red]wrong[/] {escape(line)}", soft_wrap=True, highlight=False)
     return BAD if found else 0
+
+
+def print_mended(path: Path) -> None:
+    """Complete a log whose writer was ended, and print as far as which time it goes.
+
+    Raises:
+        LogError: If it is no MCAP file.
+        ExperimentError: If it cannot be read or written.
+    """
+    try:
+        latest = mend(path)
+    except OSError as error:
+        raise ExperimentError(f"{path}: {error.strerror}") from None
+    print("complete, nothing to mend" if np.isnan(latest) else f"mended, up to {latest:.2f} s")
 
 
 def write(log: Log, path: Path, rate: int | None) -> None:

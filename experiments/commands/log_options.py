@@ -20,12 +20,15 @@ class Options:
         write: Also write its signals: as a file .mcap, which needs no mapping, or as the folder of
             a LeRobot dataset.
         rate: Frames a second of a LeRobot dataset, in hertz.
+        mend: First complete the file .mcap, whose writer was ended: what was not written to its end
+            is cut off.
     """
 
     path: Annotated[Path, tyro.conf.Positional]
     mapping: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     write: Annotated[Path | None, tyro.conf.arg(metavar="PATH")] = None
     rate: Annotated[int | None, tyro.conf.arg(metavar="HZ")] = None
+    mend: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what cannot be written.
@@ -43,3 +46,5 @@ class Options:
             raise OptionError("--rate: needed to write a LeRobot dataset, and only used with it")
         if self.rate is not None and self.rate < 1:
             raise OptionError(f"--rate: expected 1 Hz or more, got {self.rate}")
+        if self.mend and self.path.suffix != ".mcap":
+            raise OptionError(f"--mend: of a file .mcap only, got {self.path}")

@@ -10,6 +10,7 @@ from pathlib import Path
 from perception.geometry import files
 from twin.logs import messages, tables
 from twin.logs.log import Field, LogError
+from twin.logs.mending import is_complete
 
 
 def read_fields(
@@ -44,6 +45,10 @@ def read_fields(
     except Exception as error:  # What readers of damaged files raise has no base in common.
         if isinstance(error, OSError) and error.filename is not None:
             raise LogError(f"{path}: {error.strerror}") from None
+        if path.suffix.lower() == ".mcap" and not is_complete(path):
+            raise LogError(
+                f"{path}: damaged: it ends early; log --mend keeps what was written before"
+            ) from None
         reason = f"{type(error).__name__} {error}"[:200]
         raise LogError(f"{path}: damaged, or not what its name says: {reason}") from None
 

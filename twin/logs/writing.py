@@ -32,6 +32,8 @@ SENSORS = {
     "heading": ("rad", ""),
 }
 """Unit and frame of each channel of an observation that is logged."""
+CHUNK = 2**14
+"""Size of what is written at once [byte]: a seventh of a second of one rover."""
 _SCHEMA = {
     "type": "object",
     "properties": {
@@ -58,7 +60,8 @@ class LogWriter(LoopRecorder):
 
     A sample is logged once, when it is new. Signals are named ``robot/channel``, and
     ``robot/wheels`` and ``robot/arm``. Use it in a ``with`` statement: the file is complete when
-    that ends.
+    that ends. If the program is killed before, it lacks its end, which `twin.logs.mending.mend`
+    adds, and less than the last second.
 
     Args:
         path: File to write, ``.mcap``.
@@ -70,7 +73,7 @@ class LogWriter(LoopRecorder):
 
     def __init__(self, path: Path, settings: ConnectionSettings | None = None) -> None:
         self._stream = path.open("wb")
-        self._writer = Writer(self._stream)
+        self._writer = Writer(self._stream, chunk_size=CHUNK)
         self._writer.start(profile="", library="fieldtwin")
         if settings is not None:
             self._writer.add_metadata(SETTINGS, {"json": settings_text(settings)})
@@ -109,6 +112,11 @@ class LogWriter(LoopRecorder):
             time = tick.observations[robot].time
             self.write("actuator", f"{robot}/wheels", time, command.wheels, "1", "")
             self.write("actuator", f"{robot}/arm", time, command.arm, "1", "")
+        self.flush()
+
+    def flush(self) -> None:
+        """Hand on what is to be written; what is less than a chunk waits for more."""
+        self._stream.flush()
 
     def write(
         self, role: Role, name: str, stamp: float, value: ArrayLike, unit: str, frame: str

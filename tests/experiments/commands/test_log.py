@@ -1,9 +1,12 @@
 """The command ``log``: what a log holds, what is wrong in it, and errors in one line."""
 
+import numpy as np
 import pytest
 
 from experiments.__main__ import main
 from tests.twin.logs import formats
+from twin.logs.log import Log, Signal
+from twin.logs.writing import write_mcap
 
 
 @pytest.fixture(autouse=True)
@@ -47,7 +50,7 @@ def test_what_is_wrong_is_named_and_told_by_the_exit_status(tmp_path, capsys):
         ("none.csv", "No such file"),
         ("notes.txt", "not a log; expected .csv, .mcap or .rrd"),
         ("folder", "not a log"),
-        ("half.mcap", "damaged, or not what its name says"),
+        ("half.mcap", "damaged: it ends early; log --mend keeps what was written before"),
         ("words.csv", "no column time or t or stamp or timestamp for the stamps; there are a, b"),
     ],
 )
@@ -89,3 +92,15 @@ def test_what_cannot_be_written_is_refused(tmp_path, words, message, capsys):
     words = [word.replace("PATH", str(tmp_path)) for word in words]
     assert main(["log", str(path), *words]) == 2
     assert message in capsys.readouterr().err
+
+
+def test_a_log_whose_writer_was_killed_is_mended(tmp_path, capsys):
+    path = tmp_path / "run.mcap"
+    write_mcap(Log({"gyro": Signal("sensor", np.arange(3.0), np.eye(3), "rad/s")}), path)
+    path.write_bytes(path.read_bytes()[:-20])
+    assert main(["log", str(path), "--mend"]) == 0
+    assert "mended, up to 2.00 s" in capsys.readouterr().out
+    assert main(["log", str(path), "--mend"]) == 0
+    assert "complete, nothing to mend" in capsys.readouterr().out
+    assert main(["log", str(tmp_path / "run.csv"), "--mend"]) != 0
+    assert "--mend: of a file .mcap only" in capsys.readouterr().err
