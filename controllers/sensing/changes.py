@@ -86,6 +86,22 @@ class ChangeConfig:
             raise ValueError(f"changes windows = {self.windows}: expected counts of blocks above 0")
 
 
+class ChangeMemory(NamedTuple):
+    """What a detector has learned, so that it can go on another time.
+
+    Attributes:
+        mean: (k,) deviations, in their spreads.
+        covariance: (k, k) their covariance.
+        variances: (n,) long-run variances of the readings; none where none were learned yet.
+        blocks: Count of blocks that were seen.
+    """
+
+    mean: FloatArray
+    covariance: FloatArray
+    variances: FloatArray
+    blocks: int
+
+
 class _Block(NamedTuple):
     """Means over the ticks of a block, in deviations of the readings' noise.
 
@@ -149,7 +165,26 @@ class ChangeDetector:
         self._variances: FloatArray | None = None
         self._ticks: list[tuple[FloatArray, FloatArray]] = []
         self._recent: collections.deque[_Block] = collections.deque()
-        self._seen, self._alarmed = 0, -1
+        self._seen, self._before, self._alarmed = 0, 0, -1
+
+    @property
+    def memory(self) -> ChangeMemory:
+        """What was learned so far."""
+        variances = np.empty(0) if self._variances is None else self._variances
+        return ChangeMemory(self._mean, self._covariance, variances, self._before + self._seen)
+
+    def remember(self, memory: ChangeMemory) -> None:
+        """Go on where a detector of the same deviations had come to.
+
+        Raises:
+            ValueError: If it has others.
+        """
+        if memory.mean.shape != self._spreads.shape:
+            raise ValueError(f"expected {len(self._spreads)} deviations, got {len(memory.mean)}")
+        self.reset()
+        self._mean, self._covariance = memory.mean, memory.covariance
+        self._variances = memory.variances if len(memory.variances) else None
+        self._before = memory.blocks
 
     @property
     def deviations(self) -> FloatArray:
@@ -194,7 +229,7 @@ class ChangeDetector:
         self._recent.append(block)
         if len(self._recent) > max(self._config.windows):
             self._learn(self._recent.popleft())
-        if self._seen < self._config.learning:
+        if self._before + self._seen < self._config.learning:
             return None
         return self._look()
 
@@ -209,7 +244,7 @@ class ChangeDetector:
         self._covariance = self._covariance + finding.sigma**2 * np.outer(along, along)
         self._recent.clear()
         self.evidence = np.full(len(self.changes), np.nan)
-        self._seen, self._alarmed = self._config.settling, -1
+        self._seen, self._before, self._alarmed = self._config.settling, 0, -1
 
     def _learn(self, block: _Block) -> None:
         """Learn the robot from a block that is old enough to be unchanged."""
@@ -218,7 +253,7 @@ class ChangeDetector:
         found = np.where(block.ticks > 0, left**2 * block.ticks, np.nan)
         if self._variances is None:
             self._variances = np.ones(len(left))
-        share = 1.0 / min(config.forgetting, 4.0 + self._seen)
+        share = 1.0 / min(config.forgetting, 4.0 + self._before + self._seen)
         change = np.nan_to_num(found - self._variances)
         self._variances = np.maximum(self._variances + share * change, _FLOOR)
         information, score = self._weighed([block])

@@ -309,9 +309,9 @@ COMMANDS: dict[str, Command] = {
         ),
         Command(
             "live",
-            "the twin beside a rover that a log tells of: what it deviates by, and what changed",
+            "the twin beside a rover, owned or told of by a log: what it deviates by, what changed",
             "experiments.live.live",
-            example="--log results/mission/run.mcap --robot master",
+            example="--robot emulated --live",
         ),
         Command(
             "doctor",

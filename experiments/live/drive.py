@@ -17,11 +17,11 @@ from rich.console import Console
 from controllers.motion.teleoperation import Teleoperation
 from experiments.harness.contract import OptionError
 from experiments.harness.robot_option import check_calibrations
-from experiments.live.drive_options import Options
+from experiments.live.drive_options import HandOptions, Options
 from experiments.live.page_server import PageServer, jpeg
 from models.compose import ROUGH
 from twin.camera import StereoConfig
-from twin.clock import PacedClock, WallClock
+from twin.clock import Clock, PacedClock, WallClock
 from twin.connect import Connection, connect
 from twin.logs.writing import SENSORS, LogWriter
 from twin.loop import LoopRecorder, Tick
@@ -31,9 +31,10 @@ from twin.robot import Channel, Observation, Robot, RobotError
 from twin.sensors import CHANNELS
 
 PAGE = Path(__file__).with_name("drive.html")
+LONGEST = 1e6
+"""Robot time after which a drive ends [s]."""
 _FIELD = dataclasses.replace(ROUGH, shadows=False)  # They take half of an image's time.
 _PERIOD = 0.05  # Robot time between two states that are shown [s].
-_LONGEST = 1e6  # Robot time after which a drive ends [s].
 
 
 def run(options: Options) -> int:
@@ -43,6 +44,21 @@ def run(options: Options) -> int:
         OptionError: If the rover cannot be as fast, its calibration cannot be used, or the port is
             taken.
         RobotError: If the rover fails; it was stopped.
+    """
+    with served(options) as (connection, server, ended):
+        drive(connection, server, options, ended)
+    return 0
+
+
+@contextlib.contextmanager
+def served(
+    options: HandOptions,
+) -> Iterator[tuple[Connection, PageServer, Callable[[], bool]]]:
+    """Yield a connection with a rover, its page, and whether Ctrl+C was pressed.
+
+    Raises:
+        OptionError: If its calibration cannot be used, or the port is taken.
+        RobotError: If it could not be stopped.
     """
     check_calibrations(options.robot)
     with (
@@ -59,12 +75,11 @@ def run(options: Options) -> int:
         where = f"open {server.url} in a browser to drive; Ctrl+C ends it"
         Console().print(where, soft_wrap=True)
         try:
-            drive(connection, server, options, ended.is_set)
+            yield connection, server, ended.is_set
         except KeyboardInterrupt as at_once:
             # What the loop adds to it says how far the stop is confirmed.
             if notes := getattr(at_once, "__notes__", []):
                 raise RobotError("; ".join(notes)) from None
-    return 0
 
 
 @contextlib.contextmanager
@@ -103,14 +118,7 @@ def drive(
         RobotError: If the rover fails; it was stopped.
     """
     (robot,) = connection.robots.values()
-    try:
-        hand = Teleoperation(robot.description, options.speed)
-    except ValueError as error:
-        raise OptionError(f"--speed: {error}") from None
-    simulated = connection.simulation is not None or connection.emulator is not None
-    clock = connection.clock
-    if simulated:
-        clock = PacedClock(clock, WallClock(clock.period))
+    hand = hand_of(robot, options)
     recorders: list[LoopRecorder] = [DrivePage(server, robot, hand, options.speed)]
     with contextlib.ExitStack() as stack:
         if options.record is not None:
@@ -118,7 +126,26 @@ def drive(
             recorders.append(stack.enter_context(recorder))
         if options.log is not None:
             recorders.append(stack.enter_context(LogWriter(options.log, connection.settings)))
-        run_loop(connection.robots, [hand], clock, recorders, _LONGEST, ended)
+        run_loop(connection.robots, [hand], paced(connection), recorders, LONGEST, ended)
+
+
+def hand_of(robot: Robot, options: HandOptions) -> Teleoperation:
+    """Return the controller that a person drives a rover with.
+
+    Raises:
+        OptionError: If the rover cannot be as fast.
+    """
+    try:
+        return Teleoperation(robot.description, options.speed)
+    except ValueError as error:
+        raise OptionError(f"--speed: {error}") from None
+
+
+def paced(connection: Connection) -> Clock:
+    """Return the clock of a connection, whose time passes no faster than the wall's."""
+    if connection.simulation is None and connection.emulator is None:
+        return connection.clock
+    return PacedClock(connection.clock, WallClock(connection.clock.period))
 
 
 class DrivePage(LoopRecorder):
@@ -140,14 +167,22 @@ class DrivePage(LoopRecorder):
     def record(self, tick: Tick) -> None:
         """Take what the person asks, and show the robot now and then, if a page is open."""
         for told in self._server.taken():
-            if "closed" in told:
-                self._hand.rest()
-            elif "drive" in told:
-                ahead, left = map(float, told["drive"])
-                self._hand.ask(ahead, left, told["arm"])
+            self.take(told)
         if tick.time >= self._next and self._server.watched:
             self._next = tick.time + _PERIOD
             self._show(tick.observations[self._name])
+
+    def take(self, told: Mapping[str, Any]) -> None:
+        """Take what a person asked for."""
+        if "closed" in told:
+            self._hand.rest()
+        elif "drive" in told:
+            ahead, left = map(float, told["drive"])
+            self._hand.ask(ahead, left, told["arm"])
+
+    def more(self) -> Mapping[str, Any]:
+        """Return what else the page is to show; here nothing."""
+        return {}
 
     def _show(self, seen: Observation) -> None:
         stereo = seen.stereo
@@ -156,7 +191,7 @@ class DrivePage(LoopRecorder):
             self._pair, self._eyes = stereo.stamp, jpeg(np.hstack(list(stereo.value)))
         sensors = [shown(name, getattr(seen, name)) for name in CHANNELS]
         eyes = {"pair": self._pair if self._eyes else None, "eyes": stereo.validity.value}
-        about = {**self._about, "time": seen.time, **eyes, "sensors": sensors}
+        about = {**self._about, "time": seen.time, **eyes, "sensors": sensors, **self.more()}
         self._server.show(self._eyes, about)
 
 

@@ -1,330 +1,224 @@
-"""``live``: the twin beside a rover: what it did not expect, and what has changed."""
+"""``live``: the twin beside a rover: what it did not expect, and what has changed.
 
-import dataclasses
-import json
-from collections.abc import Sequence
+It reads the log of whoever drives the rover, or owns the rover and lends it to a person's hand.
+"""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, closing
 from pathlib import Path
+from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.progress import Progress, TextColumn, TimeElapsedColumn
 
-from controllers.sensing.changes import UNKNOWN, Change, ChangeConfig, ChangeDetector
-from controllers.sensing.diagnosis import Finding
+from controllers.motion.teleoperation import Teleoperation
 from experiments.harness.contract import ExperimentError
 from experiments.harness.figure_style import use_style
-from experiments.harness.recording import recording
+from experiments.harness.live_viewer import LiveViewer
+from experiments.live.drive import LONGEST, DrivePage, hand_of, paced, served, told_to_end
 from experiments.live.live_options import Options
-from models.compose import RobotPlacement
-from perception.geometry.arrays import FloatArray
-from twin.describe import describe_rover
+from experiments.live.page_server import PageServer
+from experiments.live.twin_beside import TwinBeside, placement_of
+from experiments.live.twin_folder import TwinFolder, next_run
+from experiments.live.twin_process import TwinProcess
+from experiments.live.twin_watch import Watch
+from twin.clock import Clock
 from twin.logs.log import LogError
-from twin.logs.mapping import read_log
-from twin.logs.settings import read_settings
-from twin.logs.ticks import robots_of, ticks_of
-from twin.robot import Command, Observation
-from twin.servo import SERVO_PERIOD
-from twin.shadow.deviations import Deviation, rover_deviations, shadow_scene
-from twin.shadow.readings import CHANNELS
-from twin.shadow.shadow import Shadow
+from twin.logs.ticks import TickStream
+from twin.logs.writing import LogWriter
+from twin.loop import LoopRecorder, Tick
+from twin.loop import run as run_loop
+from twin.robot import Robot, RobotError
 
-KINDS = ("load", "spring", "grip", "drag", "supply", "zero")
-"""First words of the deviations, each a panel of the figure."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Block:
-    """What the twin found in a block of ticks.
-
-    Attributes:
-        time: Robot time at its end [s].
-        surprise: (channels,) root mean square of the innovations over their deviations.
-        deviations: (k,) deviations from the drawing, as learned and as named.
-        sigma: (k,) their standard deviations.
-        evidence: Logarithm of how much likelier a change is than none; NaN while learning.
-    """
-
-    time: float
-    surprise: FloatArray
-    deviations: FloatArray
-    sigma: FloatArray
-    evidence: float
-
-
-@dataclasses.dataclass(frozen=True)
-class Named:
-    """A change that was named.
-
-    Attributes:
-        time: Robot time at which it was [s].
-        finding: Its name and size.
-        unit: Unit of the size.
-    """
-
-    time: float
-    finding: Finding
-    unit: str
+_LOOK = 0.1  # Wall time between two looks at a log that is written [s].
 
 
 def run(options: Options) -> int:
-    """Run the twin beside a log, and write what it found.
+    """Run the twin beside a log or a rover; return the exit status.
 
     Raises:
-        ExperimentError: If the log cannot be used.
+        ExperimentError: If the log cannot be used, or nothing be written.
+        OptionError: If the rover cannot be as fast, its calibration cannot be used, or the port is
+            taken.
     """
-    try:
-        log = read_log(options.log)
-        robot = options.robot or next(iter(robots_of(log)), "")
-        ticks = list(ticks_of(log, robot))
-        placed = placement_of(options.log, robot)
-        scene = shadow_scene(placed)
-    except ValueError as error:
-        raise ExperimentError(f"{options.log}: {error}") from None
-    drawn = describe_rover(robot, card=placed.card, mast=placed.mast)
-    deviations = rover_deviations(drawn)
-    twin = Twin(Shadow(scene, drawn, deviations), options.learning)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeRemainingColumn())
-    with Progress(*columns, transient=True) as progress:
-        for seen, applied in progress.track(ticks, description="beside the log"):
-            twin.step(seen, applied)
-    twin.close()
-    if not twin.blocks:
-        raise ExperimentError(f"{options.log}: {robot} measured nothing to begin with")
-    options.out.mkdir(parents=True, exist_ok=True)
-    write_all(twin, deviations, options.out)
-    print_found(twin, deviations)
-    print(f"next: look at {options.out / 'deviations.png'}, or rerun {options.out / 'live.rrd'}")
+    if options.log is not None:
+        read(options, options.log)
+    else:
+        own(options)
     return 0
 
 
-def placement_of(path: Path, robot: str) -> RobotPlacement:
-    """Return what a log says that a rover carries; the log of a real one says nothing."""
-    try:
-        robots = read_settings(path).robots
-    except LogError:
-        return RobotPlacement(robot)
-    return next((each for each in robots if each.name == robot), RobotPlacement(robot))
+def read(options: Options, log: Path) -> None:
+    """Run the twins of a log's rovers.
+
+    Raises:
+        ExperimentError: If it cannot be used, or nothing be written.
+    """
+    use_style()
+    with told_to_end() as ended, ExitStack() as stack:
+
+        def more() -> bool:
+            time.sleep(_LOOK)
+            return options.follow and not ended.is_set()
+
+        stream = TickStream(log, more)
+        watches: dict[str, Watch] = {}
+        viewers: list[LiveViewer] = []
+        there: set[str] = set()
+        columns = (TextColumn("beside the log, at {task.description}"), TimeElapsedColumn())
+        progress = stack.enter_context(Progress(*columns, transient=True))
+        task = progress.add_task("its beginning", total=None)
+        try:
+            for tick in stream:
+                if ended.is_set():
+                    break
+                there.add(tick.robot)
+                if options.name in ("", tick.robot):
+                    if tick.robot not in watches:
+                        watch, path = _watch(stream, tick.robot, options, stack)
+                        watches[tick.robot] = watch
+                        if options.live:
+                            viewers.append(stack.enter_context(closing(LiveViewer(path))))
+                    watches[tick.robot].step(tick)
+                    progress.update(task, description=f"{tick.seen.time:.1f} s")
+        except LogError as error:
+            if not (options.follow and ended.is_set()):
+                raise ExperimentError(str(error)) from None
+        except ValueError as error:
+            raise ExperimentError(f"{log}: {error}") from None
+        progress.stop()
+        if not any(watch.found for watch in watches.values()):
+            known = ", ".join(sorted(there)) or "none"
+            wanted = f"no rover {options.name!r}" if options.name else "no rover of ours"
+            raise ExperimentError(f"{log}: {wanted} that measures; there are {known}")
+        for watch in watches.values():
+            watch.close({})
+        for viewer in viewers:
+            viewer.finish()
+            viewer.stay()
 
 
-class Twin:
-    """A shadow, and the detector that its innovations go to.
+def _watch(
+    stream: TickStream, robot: str, options: Options, stack: ExitStack
+) -> tuple[Watch, Path]:
+    """Return the twin of one of a log's rovers, and its recording; several have a folder each."""
+    several = stream.settings is not None and len(stream.settings.robots) > 1
+    out = options.out / robot if several and not options.name else options.out
+    placed = placement_of(stream.settings, robot)
+    twin = TwinBeside(placed, options.learning)
+    stack.callback(twin.close)
+    folder = stack.enter_context(closing(TwinFolder(out, new=True)))
+    recording = out / "live.rrd"
+    return Watch(folder, twin, placed, recording), recording
+
+
+def own(options: Options) -> None:
+    """Own a rover, lend it to a person's hand, and keep its history.
+
+    Raises:
+        ExperimentError: If the history cannot be read or written.
+        OptionError: If the rover cannot be as fast, its calibration cannot be used, or the port is
+            taken.
+        RobotError: If the rover could not be stopped.
+    """
+    with served(options) as (connection, server, ended), ExitStack() as stack:
+        (robot,) = connection.robots.values()
+        hand = hand_of(robot, options)
+        placed = placement_of(connection.settings, robot.name)
+        number, mended = next_run(options.out)
+        if np.isfinite(mended):
+            print(f"the run before was killed; its log was completed, up to {mended:.2f} s")
+        twin = stack.enter_context(TwinProcess(placed, options.out, number, options.learning))
+        twin.wait()
+        path = options.out / f"run-{number:03d}"
+        log = stack.enter_context(LogWriter(path.with_suffix(".mcap"), connection.settings))
+        if options.live:
+            viewer = LiveViewer(path.with_suffix(".rrd"))
+            stack.enter_context(closing(viewer))
+        page = OwnPage(server, robot, hand, options.speed, twin)
+        recorders, clock = [page, log, twin], paced(connection)
+        while not ended():
+            look_on(robot, clock, recorders, lambda: ended() or page.wanted)
+            if ended():
+                break
+            try:
+                run_loop(
+                    connection.robots, [hand], clock, recorders, LONGEST,
+                    lambda: ended() or not page.wanted,
+                )  # fmt: skip
+            except RobotError as error:
+                page.stop(str(error))
+
+
+def look_on(
+    robot: Robot, clock: Clock, recorders: Sequence[LoopRecorder], until: Callable[[], bool]
+) -> None:
+    """Record what a rover measures that is not active, until a condition holds.
+
+    Nothing is applied to it, which leaves its twin out, too: an arm that rests on its stops tells
+    nothing.
 
     Args:
-        shadow: The shadow, whose deviations are learned.
-        learning: Time for which the robot is only learned [s].
+        robot: The rover.
+        clock: Its clock.
+        recorders: Recorders of every tick.
+        until: Condition, evaluated after each tick.
+    """
+    step = 0
+    while not until():
+        tick = Tick(step, clock.time, {robot.name: robot.observe()}, {})
+        for recorder in recorders:
+            recorder.record(tick)
+        clock.tick()
+        step += 1
+
+
+class OwnPage(DrivePage):
+    """Shows also what the twin finds, and asks a person to activate the rover.
+
+    Args:
+        server: Server of the page.
+        robot: The rover.
+        hand: Controller that the person drives with.
+        speed: Largest speed [m/s].
+        twin: The twin.
 
     Attributes:
-        blocks: What was found, block by block.
-        named: Changes that were named.
+        wanted: Whether the person wants the rover to be active.
     """
 
-    def __init__(self, shadow: Shadow, learning: float) -> None:
-        self._shadow = shadow
-        config = ChangeConfig()
-        ticks = round(learning / SERVO_PERIOD)
-        self._config = dataclasses.replace(config, learning=max(1, ticks // config.block))
-        self._changes = changes_of(shadow.deviations)
-        spreads = np.array([each.spread for each in shadow.deviations])
-        self._detector = ChangeDetector(spreads, self._changes, self._config)
-        self._applied: Command | None = None
-        self._squares: list[FloatArray] = []
-        self.blocks: list[Block] = []
-        self.named: list[Named] = []
+    def __init__(
+        self,
+        server: PageServer,
+        robot: Robot,
+        hand: Teleoperation,
+        speed: float,
+        twin: TwinProcess,
+    ) -> None:
+        super().__init__(server, robot, hand, speed)
+        self._robot, self._twin, self._hand = robot, twin, hand
+        self.wanted, self._why = False, ""
 
-    @property
-    def slope(self) -> FloatArray:
-        """(2,) of the ground, pitch and roll [rad]."""
-        return self._shadow.slope
+    def take(self, told: Mapping[str, Any]) -> None:
+        """Take what a person asked for."""
+        super().take(told)
+        if "activate" in told:
+            self.wanted, self._why = bool(told["activate"]), ""
+            self._hand.reset()
 
-    def close(self) -> None:
-        """End the shadow's threads."""
-        self._shadow.close()
+    def stop(self, why: str) -> None:
+        """Let the rover be inactive until a person activates it again."""
+        self.wanted, self._why = False, why
 
-    def step(self, seen: Observation, applied: Command) -> None:
-        """Take a tick.
-
-        Args:
-            seen: What was measured.
-            applied: What was applied from then on.
-        """
-        before, self._applied = self._applied, applied
-        innovation = self._shadow.step(seen, before or applied)
-        if innovation is None:
-            return
-        found = self._detector.step(innovation.values, innovation.sigma, innovation.sensitivities)
-        self._squares.append(np.square(innovation.values / innovation.sigma))
-        if len(self._squares) == self._config.block:
-            self._end_block(innovation.time)
-        if found is not None:
-            self._name(found, innovation.time)
-
-    def _end_block(self, time: float) -> None:
-        rows = np.array(self._squares)
-        self._squares = []
-        places = self._shadow.channels.values()
-        surprise = [_rms(rows[:, place]) for place in places]
-        detector = self._detector
-        self.blocks.append(
-            Block(
-                time,
-                np.array(surprise),
-                self._shadow.known + detector.deviations,
-                np.sqrt(np.diag(detector.covariance)),
-                detector.odds,
-            )
-        )
-
-    def _name(self, found: Finding, time: float) -> None:
-        there = {each.name: each for each in self._changes}
-        change = there.get(found.name)
-        self.named.append(Named(time, found, change.unit if change else ""))
-        if change is None:
-            self._detector.reset()
-            return
-        self._shadow.know(self._shadow.known + change.direction * found.size)
-        self._detector.accept(change, found)
-
-
-def changes_of(deviations: Sequence[Deviation]) -> list[Change]:
-    """Return the changes that there may be: of each deviation, and of all motors' supply."""
-    rows = np.eye(len(deviations))
-    single = [
-        Change(each.name, each.unit, row, each.change, each.sign)
-        for each, row in zip(deviations, rows)
-    ]
-    supply = np.array([float(each.name.startswith("supply")) for each in deviations])
-    return [*single, Change("battery", "1", supply, 0.3, 1)]
-
-
-def _rms(squares: FloatArray) -> float:
-    there = squares[np.isfinite(squares)]
-    return float(np.sqrt(np.mean(there))) if len(there) else float("nan")
-
-
-def write_all(twin: Twin, deviations: Sequence[Deviation], folder: Path) -> None:
-    """Write figures, recording and JSON."""
-    use_style()
-    blocks = twin.blocks
-    times = np.array([each.time for each in blocks])
-    _plot_surprise(times, np.array([each.surprise for each in blocks]), folder)
-    learned = np.array([each.deviations for each in blocks])
-    sigma = np.array([each.sigma for each in blocks])
-    _plot_deviations(times, learned, sigma, deviations, twin.named, folder)
-    _record(twin, deviations, folder / "live.rrd")
-    content = {
-        "deviations": {
-            each.name: {"value": value, "sigma": deviation, "unit": each.unit}
-            for each, value, deviation in zip(deviations, learned[-1].tolist(), sigma[-1].tolist())
-        },
-        "changes": [
-            {"time": each.time, "unit": each.unit, **dataclasses.asdict(each.finding)}
-            for each in twin.named
-        ],
-        "slope": twin.slope.tolist(),
-        "innovations_over_sigma": {
-            name: value for name, value in zip(CHANNELS, _rms_of(blocks).tolist(), strict=True)
-        },
-    }
-    (folder / "live.json").write_text(json.dumps(content, indent=1) + "\n")
-
-
-def _rms_of(blocks: Sequence[Block]) -> FloatArray:
-    return np.sqrt(np.nanmean(np.square([each.surprise for each in blocks]), axis=0))
-
-
-def _plot_surprise(times: FloatArray, surprise: FloatArray, folder: Path) -> None:
-    figure, axes = plt.subplots(figsize=(8.0, 3.5), layout="constrained")
-    for name, values in zip(CHANNELS, surprise.T, strict=True):
-        axes.plot(times, values, lw=0.8, label=name.replace("_", " "))
-    axes.axhline(1.0, color="0.6", lw=0.8)
-    axes.set_yscale("log")
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel("innovations, r.m.s.\nover what the twin states")
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    figure.savefig(folder / "innovations.png")
-    plt.close(figure)
-
-
-def _plot_deviations(
-    times: FloatArray,
-    learned: FloatArray,
-    sigma: FloatArray,
-    deviations: Sequence[Deviation],
-    named: Sequence[Named],
-    folder: Path,
-) -> None:
-    figure, rows = plt.subplots(
-        len(KINDS), 1, figsize=(8.0, 1.7 * len(KINDS)), sharex=True, layout="constrained"
-    )
-    for axes, kind in zip(rows, KINDS, strict=True):
-        chosen = [k for k, each in enumerate(deviations) if each.name.split()[0] == kind]
-        for k in chosen:
-            name = deviations[k].name.removeprefix(f"{kind} ").replace("_", " ")
-            (line,) = axes.plot(times, learned[:, k], lw=1.0, label=name)
-            half = 1.96 * sigma[:, k]
-            axes.fill_between(
-                times, learned[:, k] - half, learned[:, k] + half, color=line.get_color(),
-                alpha=0.15, lw=0.0,
-            )  # fmt: skip
-        for each in named:
-            axes.axvline(each.time, color="0.4", lw=0.8, ls=":")
-        units = {deviations[k].unit for k in chosen}
-        axes.set_ylabel(f"{kind} [{', '.join(sorted(units))}]")
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="x-small")
-    rows[0].set_title("learned deviations from the drawing, with 95 % bands; dotted: named changes")
-    rows[-1].set_xlabel("time [s]")
-    figure.savefig(folder / "deviations.png")
-    plt.close(figure)
-
-
-def _record(twin: Twin, deviations: Sequence[Deviation], path: Path) -> None:
-    """Write what was found as a recording for the rerun viewer."""
-    views = [rrb.TimeSeriesView(name="innovations over sigma", contents="/innovations/**")]
-    views += [rrb.TimeSeriesView(name=kind, contents=f"/deviations/{kind}/**") for kind in KINDS]
-    views += [rrb.TimeSeriesView(name="evidence of a change", contents="/evidence")]
-    layout = rrb.Blueprint(rrb.Grid(*views, grid_columns=2), collapse_panels=True)
-    blocks = twin.blocks
-    times = [rr.TimeColumn("sim_time", duration=[each.time for each in blocks])]
-    series = {
-        f"innovations/{name}": [float(each.surprise[k]) for each in blocks]
-        for k, name in enumerate(CHANNELS)
-    }
-    for k, deviation in enumerate(deviations):
-        kind, _, name = deviation.name.partition(" ")
-        series[f"deviations/{kind}/{name}"] = [float(each.deviations[k]) for each in blocks]
-    series["evidence"] = [each.evidence for each in blocks]
-    with recording(path, layout) as stream:
-        for name, values in series.items():
-            stream.send_columns(name, indexes=times, columns=rr.Scalars.columns(scalars=values))
-        for each in twin.named:
-            stream.set_time("sim_time", duration=each.time)
-            stream.log("changes", rr.TextLog(_said(each)))
-
-
-def print_found(twin: Twin, deviations: Sequence[Deviation]) -> None:
-    """Print what was learned of the rover, and what changed."""
-    last = twin.blocks[-1]
-    table = Table(box=None, pad_edge=False)
-    for heading in ("deviation", "learned", "sigma", "unit"):
-        table.add_column(heading, justify="right" if heading in ("learned", "sigma") else "left")
-    for each, value, sigma in zip(deviations, last.deviations.tolist(), last.sigma.tolist()):
-        table.add_row(each.name, f"{value:+.3g}", f"{sigma:.2g}", each.unit)
-    Console().print(table)
-    for named in twin.named:
-        print(_said(named))
-    if not twin.named:
-        print("no change was found")
-    pitch, roll = np.degrees(twin.slope)
-    print(f"the ground rises by {pitch:+.1f} deg ahead, and falls by {roll:+.1f} deg to the right")
-
-
-def _said(named: Named) -> str:
-    found = named.finding
-    if found.name == UNKNOWN:
-        return f"{named.time:.1f} s: {UNKNOWN}"
-    unit = f" {named.unit}" if named.unit != "1" else ""
-    return f"{named.time:.1f} s: {found.name} {found.size:+.3g} +- {1.96 * found.sigma:.2g}{unit}"
+    def more(self) -> Mapping[str, Any]:
+        """Return the rover's state, and what the twin found."""
+        found = self._twin.state
+        said = "the twin is gone" if not self._twin.alive else "the twin waits for the rover"
+        named: Sequence[str] = ()
+        if found is not None and self._twin.alive:
+            doing = "learns the rover" if found.learning else "looks for changes"
+            said = f"the twin {doing}; innovations {found.surprise:.2f} of what it states"
+            named = found.named
+        state = self._robot.lifecycle.value
+        return {"active": self.wanted, "lifecycle": state, "why": self._why, "twin": [said, *named]}

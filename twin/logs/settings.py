@@ -5,6 +5,7 @@ from pathlib import Path
 
 from cattrs.preconf.json import make_converter
 from mcap.reader import make_reader
+from mcap.records import Metadata
 
 from perception.geometry import files
 from twin.connect import ConnectionSettings
@@ -20,6 +21,13 @@ def settings_text(settings: ConnectionSettings) -> str:
     return json.dumps(_CONVERTER.unstructure(settings))
 
 
+def settings_of(record: Metadata) -> ConnectionSettings | None:
+    """Return the settings in a record of an MCAP file; None if it holds others."""
+    if record.name != SETTINGS:
+        return None
+    return _CONVERTER.structure(json.loads(record.metadata["json"]), ConnectionSettings)
+
+
 def read_settings(path: Path) -> ConnectionSettings:
     """Read how the robots of a log were connected.
 
@@ -30,9 +38,8 @@ def read_settings(path: Path) -> ConnectionSettings:
         files.check_size(path, files.LOG)
         with path.open("rb") as stream:
             for record in make_reader(stream).iter_metadata():
-                if record.name == SETTINGS:
-                    content = json.loads(record.metadata["json"])
-                    return _CONVERTER.structure(content, ConnectionSettings)
+                if (settings := settings_of(record)) is not None:
+                    return settings
     except OSError as error:
         raise LogError(f"{path}: {error.strerror}") from None
     except Exception as error:  # What readers of damaged files raise has no base in common.

@@ -4,8 +4,10 @@ Each signal is a topic of JSON messages, ``{"stamp": seconds, "value": [...]}``;
 and frame stand in the channel's metadata, so that `read_log` needs no mapping.
 """
 
+import heapq
 import json
 import math
+from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -44,15 +46,19 @@ _SCHEMA = {
 
 
 def write_mcap(log: Log, path: Path) -> None:
-    """Write any log as one of ours, which says itself what its signals are.
+    """Write any log as one of ours, which says itself what its signals are, by time.
 
     Raises:
         OSError: If it cannot be written.
     """
+    samples = [
+        [(stamp, name, row) for row, stamp in enumerate(each.stamps.tolist())]
+        for name, each in log.signals.items()
+    ]
     with LogWriter(path) as writer:
-        for name, each in log.signals.items():
-            for stamp, value in zip(each.stamps.tolist(), each.values):
-                writer.write(each.role, name, stamp, value, each.unit, each.frame)
+        for stamp, name, row in heapq.merge(*samples, key=itemgetter(0)):
+            each = log.signals[name]
+            writer.write(each.role, name, stamp, each.values[row], each.unit, each.frame)
 
 
 class LogWriter(LoopRecorder):

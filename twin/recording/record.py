@@ -394,6 +394,7 @@ def log_meshes(
             triangle_indices=mesh.faces,
             vertex_normals=mesh.vertex_normals,
             vertex_colors=colours,
+            albedo_factor=[255, 255, 255, int(colours[:, 3].min())],
         )
         stream.log(path, shape, static=True)
         pose = data.xpos[body], data.xquat[body]

@@ -22,6 +22,8 @@ from twin.shadow.deviations import Deviation, deviating
 from twin.shadow.gain import ShadowNoise, SteadyGain, settle
 from twin.shadow.readings import Readings
 
+MOST_LOST = 10
+"""Ticks between two observations after which the twin still knows where the robot is."""
 BEGINNING = 2.0
 """Time in which the twin comes to rest before it begins [s]."""
 
@@ -69,6 +71,7 @@ class Shadow:
         config: Noise and threads; None for the default.
 
     Attributes:
+        model: As given; the rover as drawn.
         channels: Where each channel's readings are, by its name.
         deviations: (k,) as given.
         known: (k,) the deviations that the twin has.
@@ -82,7 +85,7 @@ class Shadow:
         config: ShadowConfig | None = None,
     ) -> None:
         self._config = config or ShadowConfig()
-        self._drawn, self._robot = model, robot
+        self.model, self._robot = model, robot
         self.deviations = list(deviations)
         self._readings = Readings(model, robot)
         self.channels = self._readings.channels
@@ -105,7 +108,7 @@ class Shadow:
         rows = np.vstack([self.known, self.known + steps])
         self._models: list[mujoco.MjModel] = []
         for row in rows:
-            model = copy.copy(self._drawn)
+            model = copy.copy(self.model)
             deviating(model, self.deviations, row)
             self._models.append(model)
         self._supply, self._bias = self._outer(rows)
@@ -116,9 +119,17 @@ class Shadow:
         """(2,) of the ground, pitch and roll [rad]."""
         return self._slopes[0].copy()
 
+    @property
+    def places(self) -> FloatArray | None:
+        """(nq,) places of the twin's degrees of freedom; None before it has begun."""
+        if self._before is None:
+            return None
+        return self._states[0, 1 : 1 + self.model.nq].copy()
+
     def reset(self) -> None:
         """Begin anew with the next observation."""
         self._before: Observation | None = None
+        self._slopes: FloatArray = np.zeros((len(self._models), 2))
 
     def step(self, seen: Observation, applied: Command) -> Innovation | None:
         """Predict to an observation, and correct the twin by it.
@@ -129,14 +140,17 @@ class Shadow:
 
         Returns:
             The innovations; None for the first observation, with which the twin begins, and until
-            the arm's angles and the tilt are measured.
+            the arm's angles and the tilt are measured. After a longer gap it begins anew.
         """
         before, self._before = self._before, seen
-        if before is None:
+        ticks = 0 if before is None else round((seen.time - before.time) / SERVO_PERIOD)
+        if before is None or not 0 < ticks <= MOST_LOST:
             if not self._begin(seen):
                 self._before = None
             return None
-        self._gain.follow(self._states[0, 1 : 1 + self._drawn.nq], self._models[0].opt.gravity)
+        self._gain.follow(self._states[0, 1 : 1 + self.model.nq], self._models[0].opt.gravity)
+        for _ in range(ticks - 1):
+            self._predict(applied)
         expected = self._predict(applied)
         measured = self._readings.measured(seen, before)
         innovations = measured - expected
@@ -151,7 +165,7 @@ class Shadow:
 
     def _outer(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return volts of each axis at full duty (m, axes), and what readings are off by (m, n)."""
-        volts = np.tile(self._drawn.actuator_ctrlrange[self._axes, 1], (len(rows), 1))
+        volts = np.tile(self.model.actuator_ctrlrange[self._axes, 1], (len(rows), 1))
         bias = np.zeros((len(rows), self._readings.size))
         for column, deviation in zip(rows.T, self.deviations):
             for axis, share in deviation.supply.items():
@@ -164,11 +178,11 @@ class Shadow:
         """Set the twin to rest where the robot is measured, and return whether it is."""
         if not (seen.arm_angles.usable and seen.inclinometer.usable):
             return False
-        drawn = self._drawn
+        drawn = self.model
         places = drawn.key_qpos[0].copy()
         places[self._readings.joints[0]] = seen.arm_angles.value
         data = mujoco.MjData(drawn)
-        self._slopes: FloatArray = np.zeros((len(self._models), 2))
+        self._slopes[:] = 0.0
         self._tilt_gravity()
         settle(self._models[0], data, places, self._readings, BEGINNING)
         count = len(self._models)
@@ -192,7 +206,7 @@ class Shadow:
     def _predict(self, applied: Command) -> FloatArray:
         """Advance all models by a tick, and return what they expect (m, n)."""
         duty = np.concatenate([applied.wheels, applied.arm])
-        control = np.zeros((len(self._models), self._steps, self._drawn.nu))
+        control = np.zeros((len(self._models), self._steps, self.model.nu))
         control[:, :, self._axes] = (self._supply * duty)[:, None]
         states, sensed = self._pool.rollout(
             self._models, self._data, self._states, control, nstep=self._steps
@@ -203,7 +217,7 @@ class Shadow:
 
     def _correct(self, innovations: FloatArray) -> None:
         """Correct all models, and the ground that each believes in, by their innovations (m, n)."""
-        freedoms, count = self._drawn.nv, self._drawn.nq
+        freedoms, count = self.model.nv, self.model.nq
         change: FloatArray = innovations @ self._gain.gain.T
         places = self._states[:, 1 : 1 + count]
         places[:, :3] += change[:, :3]

@@ -1,6 +1,7 @@
 """``live``: the twin beside a log, from the command line."""
 
 import json
+import threading
 
 import numpy as np
 import pytest
@@ -8,12 +9,13 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from experiments.__main__ import main
-from experiments.live.live import changes_of, placement_of
+from experiments.live.twin_beside import changes_of, placement_of
 from models.compose import RobotPlacement
 from tests.twin.shadow.test_shadow import ROBOT, Working, add_load
 from twin.connect import connect
 from twin.describe import describe_rover
 from twin.logs.log import Log, Signal
+from twin.logs.settings import read_settings
 from twin.logs.writing import LogWriter, write_mcap
 from twin.loop import run
 from twin.shadow.deviations import rover_deviations, shadow_scene
@@ -73,11 +75,45 @@ def test_a_rover_as_drawn_shows_no_change(tmp_path, capsys):
     assert "no change was found" in capsys.readouterr().out
 
 
+class Both:
+    """Two rovers that work."""
+
+    def reset(self):
+        pass
+
+    def step(self, observations):
+        (command,) = Working().step({ROBOT: observations[ROBOT]}).values()
+        return dict.fromkeys(observations, command)
+
+
+def test_each_rover_of_a_log_that_is_still_written_has_a_twin(tmp_path, capsys):
+    path, out = tmp_path / "run.mcap", tmp_path / "found"
+    placed = [ALONE, RobotPlacement("other", (1.5, 0.0))]
+    with (
+        connect("sim", robots=placed, realism="ideal", seed=4) as connection,
+        LogWriter(path, connection.settings) as writer,
+    ):
+        run(connection.robots, [Both()], connection.clock, [writer], 1.0)
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])
+    words = ["live", "--log", str(path), "--out", str(out)]
+    assert main(words) == 1
+    assert "ends early; log --mend" in capsys.readouterr().err
+    rest = threading.Timer(1.0, lambda: path.write_bytes(content))
+    rest.start()
+    assert main([*words, "--follow"]) == 0
+    rest.join()
+    for robot in (ROBOT, "other"):
+        assert json.loads((out / robot / "live.json").read_text())["changes"] == []
+    assert main([*words, "--name", "third"]) == 1
+    assert "no rover 'third' that measures; there are other, rover1" in capsys.readouterr().err
+
+
 def test_what_a_log_cannot_tell_is_said_in_one_line(tmp_path, capsys):
     path = tmp_path / "run.mcap"
     write_mcap(Log({"gyro": Signal("sensor", np.arange(2.0), np.zeros((2, 3)))}), path)
     assert main(["live", "--log", str(path), "--out", f"{tmp_path}/found"]) == 1
-    assert "no rover '' in the log; there are none" in capsys.readouterr().err
+    assert "no rover of ours that measures; there are none" in capsys.readouterr().err
     assert main(["live", "--log", str(path), "--learning", "-1"]) == 2  # noqa: PLR2004
     assert "--learning" in capsys.readouterr().err
     assert not (tmp_path / "found").exists()
@@ -87,8 +123,9 @@ def test_the_twin_holds_what_the_log_says_that_the_rover_holds(tmp_path):
     path = tmp_path / "run.mcap"
     carrier = RobotPlacement(ROBOT, card=True, mast=0.1)
     write_log(path, 0.1, carrier)
-    assert placement_of(path, ROBOT) == carrier
-    assert placement_of(path, "other") == RobotPlacement("other")
+    settings = read_settings(path)
+    assert placement_of(settings, ROBOT) == carrier
+    assert placement_of(settings, "other") == placement_of(None, "other") == RobotPlacement("other")
 
 
 @pytest.mark.parametrize("other", [{"arm": False}, {"centre_locked": True}])

@@ -169,6 +169,28 @@ def test_channels_that_are_missing_leave_it_to_predict():
     assert np.sqrt(np.mean(np.square(rates))) < 0.02  # noqa: PLR2004
 
 
+class Lossy(Beside):
+    """Leaves out two ticks of twenty, and once a second."""
+
+    def record(self, tick):
+        if tick.step % 20 > 1 and not 600 <= tick.step < 700:
+            super().record(tick)
+
+
+def test_what_is_lost_is_predicted_and_after_a_longer_gap_it_begins_anew(drawn):
+    with connect("sim", realism="ideal", seed=4) as connection:
+        shadow = Shadow(shadow_scene(RobotPlacement(ROBOT)), DRAWN, ())
+        lossy = Lossy(shadow)
+        run(connection.robots, [Working()], connection.clock, [lossy], 9.0)
+        shadow.close()
+    times = np.array([each.time for each in lossy.found])
+    # One observation of each beginning is lost, and none for what was left out before.
+    assert len(times) == np.count_nonzero(np.arange(900) % 20 > 1) - 90 - 2
+    for found in (lossy.found[200:500], lossy.found[600:]):
+        squares = np.nanmean([np.square(each.values / each.sigma) for each in found], axis=0)
+        assert np.all(squares < 2.0)  # noqa: PLR2004
+
+
 def test_it_waits_for_what_it_begins_with():
     def late(observation):
         early = observation.time < 1.0
