@@ -6,6 +6,11 @@ be and each time since when. How likely these seconds are with the change, over 
 without, is averaged over the sizes that it may have. Such a ratio is 1 in the mean while nothing
 changes, so that a sum over all times since when exceeds a number of times about once in that
 number: that is how false alarms are bounded over any length of time.
+
+No model is complete. What it misses of a reading for good is learned as an offset of that reading.
+What it misses for a while is not white: what a reading is off by in one block it is likely to be in
+the next, and so tells less than its variance says. The long-run variance is learned, which counts
+that in; where the latest seconds are rougher than that, they count for less, as in Student's t.
 """
 
 import collections
@@ -24,6 +29,8 @@ UNKNOWN = "unknown change"
 _FLOOR = 1e-3  # Least long-run variance of a reading, over what its sigma says.
 _CLIP = 6.0  # Deviations beyond which a single innovation counts no further: stones, knocks.
 _LEAST = 1e-3  # Least information that counts, in what is known beforehand.
+_FREELY = 3.0  # How far a change may go that is fitted, over what it may well be.
+_ROUGHEST = 4.0  # Most that a window's variance counts for, over the long-run one.
 _STRANGE = 4.0  # Mean squared deviation that the best change must leave, or it is none of these.
 
 
@@ -61,17 +68,23 @@ class ChangeConfig:
             another, in their spreads, for what no deviation describes.
         memory: Blocks after which what was learned is forgotten to 1/e.
         forgetting: Blocks within which the long-run variance of the readings is learned.
+        offset: Standard deviation of what a reading may be off by for good, in its sigma.
+        lags: Blocks over which what a reading is off by may last.
+        freedom: Count of blocks that the long-run variance counts for beside those of a window.
         confirming: Blocks after an alarm until the change is named.
     """
 
     block: int = 25
-    windows: tuple[int, ...] = (2, 4, 8, 16)
+    windows: tuple[int, ...] = (2, 4, 8, 16, 32)
     learning: int = 80
     settling: int = 8
     between: float = 1e9
-    walk: float = 0.2
+    walk: float = 0.1
     memory: float = 400.0
     forgetting: float = 120.0
+    offset: float = 2.0
+    lags: int = 8
+    freedom: float = 4.0
     confirming: int = 4
 
     def __post_init__(self) -> None:
@@ -81,7 +94,8 @@ class ChangeConfig:
             ValueError: Naming the number.
         """
         check_numbers("changes", self, "block", "learning", "between", "forgetting", "memory")
-        check_numbers("changes", self, "walk", "settling", "confirming", zero=True)
+        check_numbers("changes", self, "walk", "settling", "confirming", "offset", zero=True)
+        check_numbers("changes", self, "lags", "freedom", zero=True)
         if not self.windows or min(self.windows) < 1:
             raise ValueError(f"changes windows = {self.windows}: expected counts of blocks above 0")
 
@@ -90,15 +104,16 @@ class ChangeMemory(NamedTuple):
     """What a detector has learned, so that it can go on another time.
 
     Attributes:
-        mean: (k,) deviations, in their spreads.
-        covariance: (k, k) their covariance.
-        variances: (n,) long-run variances of the readings; none where none were learned yet.
+        mean: (k + n,) deviations and offsets of the readings, in their spreads.
+        covariance: (k + n, k + n) their covariance.
+        products: (lags + 1, n) means of what a reading is off by, times what it is some blocks
+            later.
         blocks: Count of blocks that were seen.
     """
 
     mean: FloatArray
     covariance: FloatArray
-    variances: FloatArray
+    products: FloatArray
     blocks: int
 
 
@@ -108,7 +123,7 @@ class _Block(NamedTuple):
     Attributes:
         ticks: Count of each reading's ticks (n,).
         values: Innovations (n,); 0 where there are none.
-        slopes: Sensitivities (k, n).
+        slopes: Sensitivities to deviations and offsets (k + n, n).
     """
 
     ticks: FloatArray
@@ -123,15 +138,13 @@ class _Window(NamedTuple):
         ratios: Logarithm of how much likelier they are with it, averaged over its sizes.
         sizes: Its likeliest size.
         sigmas: Standard deviation of that.
-        misfit: How far they are off without any change, in squared deviations.
-        numbers: Count of the block means whose squared deviations `misfit` sums.
+        misfit: How far they are off with the likeliest change, as mean squared deviation.
     """
 
     ratios: FloatArray
     sizes: FloatArray
     sigmas: FloatArray
     misfit: float
-    numbers: int
 
 
 class ChangeDetector:
@@ -153,25 +166,44 @@ class ChangeDetector:
         self._spreads = np.asarray(spreads, dtype=float)
         self.changes = list(changes)
         # All inside is in spreads, so that no number is much larger than another.
-        self._directions = np.array([each.direction / self._spreads for each in self.changes])
+        rows = [each.direction / self._spreads for each in self.changes]
+        self._changes = np.array(rows).reshape(len(rows), len(self._spreads))
         self._sizes = np.array([each.spread for each in self.changes])
         self._signs = np.array([each.sign for each in self.changes])
         self.reset()
 
     def reset(self) -> None:
         """Forget the robot."""
-        self._mean, self._covariance = np.zeros(len(self._spreads)), np.eye(len(self._spreads))
+        self._begin(0)
+
+    def _begin(self, readings: int) -> None:
+        """Know nothing of a robot with so many readings."""
+        count, config = len(self._spreads) + readings, self._config
+        self._mean, self._covariance = np.zeros(count), np.eye(count)
+        self._products = np.zeros((config.lags + 1, readings))
+        self._products[0] = 1.0 + 0.25 * config.lags
+        self._directions = np.hstack([self._changes, np.zeros((len(self.changes), readings))])
+        self._pause()
+        self._before = 0
+
+    def _pause(self) -> None:
+        """Begin with another stretch of the robot's motion."""
         self.evidence = np.full(len(self.changes), np.nan)
-        self._variances: FloatArray | None = None
+        self._left: collections.deque[FloatArray] = collections.deque(maxlen=self._config.lags)
         self._ticks: list[tuple[FloatArray, FloatArray]] = []
         self._recent: collections.deque[_Block] = collections.deque()
-        self._seen, self._before, self._alarmed = 0, 0, -1
+        self._seen, self._alarmed = 0, -1
+
+    def pause(self) -> None:
+        """Keep what was learned, where what comes next is not of the same motion."""
+        self._before += self._seen
+        self._pause()
 
     @property
     def memory(self) -> ChangeMemory:
         """What was learned so far."""
-        variances = np.empty(0) if self._variances is None else self._variances
-        return ChangeMemory(self._mean, self._covariance, variances, self._before + self._seen)
+        blocks = self._before + self._seen
+        return ChangeMemory(self._mean, self._covariance, self._products.copy(), blocks)
 
     def remember(self, memory: ChangeMemory) -> None:
         """Go on where a detector of the same deviations had come to.
@@ -179,22 +211,23 @@ class ChangeDetector:
         Raises:
             ValueError: If it has others.
         """
-        if memory.mean.shape != self._spreads.shape:
+        readings = len(memory.mean) - len(self._spreads)
+        if memory.products.shape != (self._config.lags + 1, readings):
             raise ValueError(f"expected {len(self._spreads)} deviations, got {len(memory.mean)}")
-        self.reset()
+        self._begin(readings)
         self._mean, self._covariance = memory.mean, memory.covariance
-        self._variances = memory.variances if len(memory.variances) else None
-        self._before = memory.blocks
+        self._products, self._before = memory.products.copy(), memory.blocks
 
     @property
     def deviations(self) -> FloatArray:
         """(k,) what the robot deviates from the twin by, as learned."""
-        return self._mean * self._spreads
+        return self._mean[: len(self._spreads)] * self._spreads
 
     @property
     def covariance(self) -> FloatArray:
         """(k, k) covariance of these, with what no deviation describes."""
-        own = self._covariance + self._config.walk**2 * np.eye(len(self._spreads))
+        count = len(self._spreads)
+        own = self._covariance[:count, :count] + self._config.walk**2 * np.eye(count)
         return own * np.outer(self._spreads, self._spreads)
 
     @property
@@ -222,7 +255,9 @@ class ChangeDetector:
         )
         if len(self._ticks) < self._config.block:
             return None
-        block, self._ticks = _averaged(self._ticks), []
+        block, self._ticks = _averaged(self._ticks, self._config.offset), []
+        if self._seen == 0 and self._before == 0:
+            self._begin(len(values))
         self._seen += 1
         if self._seen <= self._config.settling:
             return None
@@ -240,38 +275,34 @@ class ChangeDetector:
             change: The change.
             finding: Its size, as the twin has it from now on.
         """
-        along = change.direction / self._spreads
+        along = np.zeros(len(self._mean))
+        along[: len(self._spreads)] = change.direction / self._spreads
         self._covariance = self._covariance + finding.sigma**2 * np.outer(along, along)
-        self._recent.clear()
-        self.evidence = np.full(len(self.changes), np.nan)
-        self._seen, self._before, self._alarmed = self._config.settling, 0, -1
+        self._pause()
+        self._seen, self._before = self._config.settling, 0
+
+    @property
+    def _variances(self) -> FloatArray:
+        """(n,) long-run variance of each reading, over what its sigma says."""
+        lags = self._config.lags
+        weights = 2.0 * (1.0 - np.arange(1, lags + 1) / (lags + 1))  # Bartlett's
+        total = self._products[0] + weights @ self._products[1:]
+        return np.maximum(np.maximum(total, self._products[0]), _FLOOR)
 
     def _learn(self, block: _Block) -> None:
         """Learn the robot from a block that is old enough to be unchanged."""
         config = self._config
-        left = block.values - self._mean @ block.slopes
-        found = np.where(block.ticks > 0, left**2 * block.ticks, np.nan)
-        if self._variances is None:
-            self._variances = np.ones(len(left))
-        share = 1.0 / min(config.forgetting, 4.0 + self._before + self._seen)
-        change = np.nan_to_num(found - self._variances)
-        self._variances = np.maximum(self._variances + share * change, _FLOOR)
-        information, score = self._weighed([block])
+        left = (block.values - self._mean @ block.slopes) * np.sqrt(block.ticks)
+        share = (block.ticks > 0) / min(config.forgetting, 4.0 + self._before + self._seen)
+        for lag, earlier in enumerate((left, *reversed(self._left))):
+            self._products[lag] += share * (left * earlier - self._products[lag])
+        self._left.append(left)
+        information, score = _weighed([block], self._variances)
         kept = np.exp(-1.0 / config.memory)
         mean = kept * self._mean
         prior = kept**2 * self._covariance + (1.0 - kept**2) * np.eye(len(mean))
         self._covariance = np.linalg.inv(np.linalg.inv(prior) + information)
         self._mean = mean + self._covariance @ (score - information @ mean)
-
-    def _weighed(self, blocks: Sequence[_Block]) -> tuple[FloatArray, FloatArray]:
-        """Return information (k, k) and score (k,) of blocks about the deviations."""
-        variances = 1.0 if self._variances is None else self._variances
-        information, score = 0.0, 0.0
-        for block in blocks:
-            weighed = block.slopes * (block.ticks / variances)
-            information = information + weighed @ block.slopes.T
-            score = score + weighed @ block.values
-        return np.asarray(information), np.asarray(score)
 
     def _look(self) -> Finding | None:
         """Look for changes in the latest blocks."""
@@ -293,17 +324,55 @@ class ChangeDetector:
         best = int(np.argmax(self.evidence))
         window = max(windows, key=lambda each: float(each.ratios[best]))
         size, sigma = float(window.sizes[best]), float(window.sigmas[best])
-        left = (window.misfit - (size / sigma) ** 2) / window.numbers
-        name = UNKNOWN if left > _STRANGE else self.changes[best].name
+        name = UNKNOWN if window.misfit > _STRANGE else self.changes[best].name
         return Finding(name, size, sigma, abs(size / sigma))
 
     def _compare(self, blocks: Sequence[_Block]) -> _Window:
         """Return what the latest blocks say of each change."""
-        information, score = self._weighed(blocks)
+        variances = self._variances
+        window = self._weigh(blocks, variances)
+        squares, count = self._left_by(blocks, variances, int(np.argmax(window.ratios)))
+        freedom = self._config.freedom
+        rough = (freedom + squares) / (freedom + count)
+        rough = np.clip(rough, 1.0, _ROUGHEST)
+        misfit = float(squares.sum() / count.sum())
+        return self._weigh(blocks, variances * rough)._replace(misfit=misfit)
+
+    def _left_by(
+        self, blocks: Sequence[_Block], variances: FloatArray, change: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what a change leaves unexplained.
+
+        Args:
+            blocks: Blocks of a window.
+            variances: (n,) long-run variances of the readings.
+            change: Its number.
+
+        Returns:
+            (n,) sums of the squares of what each reading is off by still, over their variance, and
+            (n,) count of these.
+        """
+        information, score = _weighed(blocks, variances)
+        along = self._directions[change] * _FREELY * self._sizes[change]
+        prior = np.linalg.inv(self._before_window + np.outer(along, along))
+        mean = self._mean + np.linalg.solve(prior + information, score - information @ self._mean)
+        left = [(each.values - mean @ each.slopes) * np.sqrt(each.ticks) for each in blocks]
+        count = np.sum([each.ticks > 0 for each in blocks], axis=0)
+        return np.sum(np.square(left), axis=0) / np.maximum(self._products[0], _FLOOR), count
+
+    @property
+    def _before_window(self) -> FloatArray:
+        """Covariance of deviations and offsets before a window, with what none describes."""
+        walk = np.zeros(len(self._covariance))
+        walk[: len(self._spreads)] = self._config.walk
+        return self._covariance + np.diag(walk**2)
+
+    def _weigh(self, blocks: Sequence[_Block], variances: FloatArray) -> _Window:
+        """Return what some blocks say of each change, with given variances of the readings."""
+        information, score = _weighed(blocks, variances)
         score = score - information @ self._mean
         # What a window tells of the deviations, beside how far off they may be before it.
-        freedom = np.eye(len(score))
-        spared = np.linalg.inv(self._covariance + self._config.walk**2 * freedom)
+        spared = np.linalg.inv(self._before_window)
         left = np.linalg.solve(information + spared, np.column_stack([information, score]))
         told = information - information @ left[:, :-1]
         pull = score - information @ left[:, -1]
@@ -317,25 +386,29 @@ class ChangeDetector:
         # Of a change of one sign the other half of the sizes counts for nothing.
         half = np.log(2.0) + scipy.special.log_ndtr(self._signs * ahead)
         ratios += np.where(self._signs == 0, 0.0, half)
-        misfit = sum(self._misfit(block) for block in blocks) - float(score @ left[:, -1])
-        numbers = sum(int(np.count_nonzero(block.ticks)) for block in blocks)
-        return _Window(ratios, sizes, precision**-0.5, misfit, numbers)
-
-    def _misfit(self, block: _Block) -> float:
-        """Return how far a block is off what was learned, in squared deviations."""
-        off = block.values - self._mean @ block.slopes
-        variances = 1.0 if self._variances is None else self._variances
-        return float(np.sum(off**2 * block.ticks / variances))
+        return _Window(ratios, sizes, precision**-0.5, 0.0)
 
 
-def _averaged(ticks: Sequence[tuple[FloatArray, FloatArray]]) -> _Block:
+def _weighed(blocks: Sequence[_Block], variances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return information (k + n, k + n) and score (k + n,) of blocks about what is learned."""
+    information, score = 0.0, 0.0
+    for block in blocks:
+        weighed = block.slopes * (block.ticks / variances)
+        information = information + weighed @ block.slopes.T
+        score = score + weighed @ block.values
+    return np.asarray(information), np.asarray(score)
+
+
+def _averaged(ticks: Sequence[tuple[FloatArray, FloatArray]], offset: float) -> _Block:
+    """Return the means of some ticks, whose sensitivities are those to deviations only."""
     values = np.array([each for each, _ in ticks])
     slopes = np.array([each for _, each in ticks])
     there = np.isfinite(values)
     count = there.sum(axis=0).astype(float)
     over = np.maximum(count, 1.0)
+    mean = np.where(there[:, None], slopes, 0.0).sum(axis=0) / over
     return _Block(
         count,
         np.where(there, values, 0.0).sum(axis=0) / over,
-        np.where(there[:, None], slopes, 0.0).sum(axis=0) / over,
+        np.vstack([mean, np.diag(np.where(count > 0, offset, 0.0))]),
     )

@@ -137,7 +137,7 @@ class TwinBeside:
         innovation = self.shadow.step(tick.seen, before or tick.applied)
         if innovation is None:
             # What comes next is not of the same motion.
-            self._detector.remember(self._detector.memory)
+            self._detector.pause()
             self._squares.clear()
             return
         found = self._detector.step(innovation.values, innovation.sigma, innovation.sensitivities)
@@ -191,6 +191,7 @@ def changes_of(deviations: Sequence[Deviation]) -> list[Change]:
     single = [
         Change(each.name, each.unit, row, each.change, each.sign)
         for each, row in zip(deviations, rows)
+        if each.change > 0.0
     ]
     supply = np.array([float(each.name.startswith("supply")) for each in deviations])
     return [*single, Change("battery", "1", supply, 0.3, 1)]

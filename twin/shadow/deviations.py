@@ -15,6 +15,8 @@ from twin.description import RobotDescription
 DECK = (0.0, -0.11, 0.06)
 """Where a load on the base is taken to lie, in the rear half's frame [m]: on the middle of its
 deck."""
+LINKS = ("upper_arm", "forearm", "wrist")
+"""Links of the arm that reach out, each along the y axis of its frame."""
 TIME_STEP = 0.002
 """Physics step of a shadow [s], twice the scenes': its errors stay below the sensors' noise."""
 _HALF_LOAD = 0.025  # Half size of a load, of which its inertia follows [m].
@@ -31,7 +33,7 @@ class Deviation:
         name: Such as ``spring front_left``.
         unit: Unit of its number.
         spread: Standard deviation among new robots, and so what is known beforehand.
-        change: Standard deviation of what may happen to it later.
+        change: Standard deviation of what may happen to it later; 0 for what stays as it was made.
         sign: 1 or -1 where it can then only grow or fall, as springs only get softer; 0 for both.
         step: Number with which its effect is calculated: large, as wheels lift and slide anew for
             every little difference.
@@ -95,6 +97,7 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
         Deviation(f"load {place}", "kg", spread, change, 1, step, _load(f"{name}/load_{place}"))
         for place, spread, change, step in (("base", 0.1, 1.5, 1.0), ("gripper", 0.02, 0.2, 0.1))
     ]
+    found += _arm_bodies(name)
     for wheel in robot.wheels:
         spring = _factor("joint", f"{name}/{wheel.name}_suspension_joint", "stiffness")
         share = TOLERANCES.spring * _UNIFORM
@@ -125,6 +128,34 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
             spread = most * _UNIFORM
             found.append(Deviation(f"zero {label}", unit, spread, 0.03, 0, step, reading=reading))
     return found
+
+
+def _arm_bodies(robot: str) -> list[Deviation]:
+    """Return what the arm's weight and its moments may be off by; it stays so."""
+    found = [Deviation("mass arm", "1", TOLERANCES.mass * _UNIFORM, 0.0, 0, 0.05, _masses(robot))]
+    spread = TOLERANCES.centre * _UNIFORM
+    for link in LINKS:
+        for axis, along in (("y", "along"), ("z", "across")):
+            write = _centre(f"{robot}/{link}", "xyz".index(axis))
+            found.append(Deviation(f"centre {link} {along}", "m", spread, 0.0, 0, 0.01, write))
+    return found
+
+
+def _masses(robot: str) -> Writer:
+    def write(model: mujoco.MjModel, value: float) -> None:
+        for link in ("arm_base_link", "turret", *LINKS):
+            body = model.body(f"{robot}/{link}").id
+            model.body_mass[body] *= 1.0 + value
+            model.body_inertia[body] *= 1.0 + value
+
+    return write
+
+
+def _centre(body: str, axis: int) -> Writer:
+    def write(model: mujoco.MjModel, value: float) -> None:
+        model.body(body).ipos[axis] += value
+
+    return write
 
 
 def _load(body: str) -> Writer:

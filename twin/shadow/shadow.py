@@ -5,6 +5,7 @@
 
 import copy
 import dataclasses
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -116,8 +117,16 @@ class Shadow:
 
     @property
     def slope(self) -> FloatArray:
-        """(2,) of the ground, pitch and roll [rad]."""
-        return self._slopes[0].copy()
+        """(2,) of the ground where it stands, in pitch and roll [rad]."""
+        right, forward = self._slopes[0, 1], -self._slopes[0, 0]
+        right, forward = _turn(-self._heading) @ [right, forward]
+        return np.array([-forward, right])
+
+    @property
+    def _heading(self) -> float:
+        """Of the twin [rad]."""
+        w, x, y, z = self._states[0, 4:8].tolist()
+        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
     @property
     def places(self) -> FloatArray | None:
@@ -130,6 +139,8 @@ class Shadow:
         """Begin anew with the next observation."""
         self._before: Observation | None = None
         self._slopes: FloatArray = np.zeros((len(self._models), 2))
+        size = mujoco.mj_stateSize(self.model, STATE)
+        self._states: FloatArray = np.tile(np.eye(size)[4], (len(self._models), 1))
 
     def step(self, seen: Observation, applied: Command) -> Innovation | None:
         """Predict to an observation, and correct the twin by it.
@@ -148,7 +159,7 @@ class Shadow:
             if not self._begin(seen):
                 self._before = None
             return None
-        self._gain.follow(self._states[0, 1 : 1 + self.model.nq], self._models[0].opt.gravity)
+        self._follow()
         for _ in range(ticks - 1):
             self._predict(applied)
         expected = self._predict(applied)
@@ -162,6 +173,14 @@ class Shadow:
             self._gain.sigma,
             (expected[1:] - expected[0]) / steps[:, None],
         )
+
+    def _follow(self) -> None:
+        """Let the gain follow the arm; it is that of a rover that looks along the y axis."""
+        turn = _turn(-self._heading)
+        places, gravity = self._states[0, 1 : 1 + self.model.nq].copy(), self._models[0].opt.gravity
+        half = -0.5 * self._heading
+        places[3:7] = _product(np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), places[3:7])
+        self._gain.follow(places, np.append(turn @ gravity[:2], gravity[2]))
 
     def _outer(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return volts of each axis at full duty (m, axes), and what readings are off by (m, n)."""
@@ -223,15 +242,30 @@ class Shadow:
         places[:, :3] += change[:, :3]
         places[:, 3:7] = _turned(places[:, 3:7], change[:, 3:6])
         places[:, 7:] += change[:, 6:freedoms]
+        # Velocity and slope are the world's, their corrections as the rover looks.
+        turn = _turn(self._heading)
+        change[:, freedoms : freedoms + 2] = change[:, freedoms : freedoms + 2] @ turn.T
         self._states[:, 1 + count :] += change[:, freedoms : 2 * freedoms]
-        self._slopes += change[:, 2 * freedoms :]
+        pitch, roll = change[:, 2 * freedoms :].T
+        right, forward = turn @ [roll, -pitch]
+        self._slopes += np.column_stack([-forward, right])
         self._tilt_gravity()
 
 
 def _turned(quaternions: FloatArray, angles: FloatArray) -> FloatArray:
     """Return quaternions (m, 4) turned by small angles (m, 3) about their own axes [rad]."""
-    w, v = quaternions[:, :1], quaternions[:, 1:]
-    half = 0.5 * angles
-    real = w - np.sum(v * half, axis=1, keepdims=True)
-    found = np.hstack([real, v + w * half + np.cross(v, half)])
+    found = _product(quaternions, np.hstack([np.ones((len(angles), 1)), 0.5 * angles]))
     return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+
+def _product(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Return the products of quaternions (..., 4)."""
+    w, v, a, b = one[..., :1], one[..., 1:], other[..., :1], other[..., 1:]
+    real = w * a - np.sum(v * b, axis=-1, keepdims=True)
+    return np.concatenate([real, w * b + a * v + np.cross(v, b)], axis=-1)
+
+
+def _turn(angle: float) -> FloatArray:
+    """Return the rotation (2, 2) by an angle [rad]."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    return np.array([[cosine, -sine], [sine, cosine]])

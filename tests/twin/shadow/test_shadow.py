@@ -23,12 +23,15 @@ AROUND = np.array([0.6, 0.2, 0.25, 0.3])
 class Working:
     """Drives and turns while the arm swings about its rest posture."""
 
+    def __init__(self, turning=0.8):
+        self._turning = turning
+
     def reset(self):
         pass
 
     def step(self, observations):
         time = observations[ROBOT].time
-        drive, turn = 1.5 * np.sin(0.9 * time), 0.8 * np.sin(0.5 * time + 1.0)
+        drive, turn = 1.5 * np.sin(0.9 * time), self._turning * np.sin(0.5 * time + 1.0)
         phases = np.array([1.1, 1.7, 1.4, 2.1]) * time
         ramp = min(time, 1.0)
         wheels = ramp * (drive + turn * np.array([-1.0, 1.0, -1.0, 1.0]))
@@ -51,7 +54,13 @@ class Beside(LoopRecorder):
 
 
 def beside(
-    seconds, deviations=(), change=None, known=0.0, seen=lambda each: each, slope=(0.0, 0.0)
+    seconds,
+    deviations=(),
+    change=None,
+    known=0.0,
+    seen=lambda each: each,
+    slope=(0.0, 0.0),
+    motion=None,
 ):
     field = FieldConfig(size=(6.0, 6.0), texture_pixels=16, slope=slope)
     shadow = Shadow(shadow_scene(RobotPlacement(ROBOT)), DRAWN, deviations)
@@ -60,7 +69,7 @@ def beside(
     with connect("sim", field=field, realism="ideal", seed=4) as connection:
         if change is not None:
             change(connection.simulation.model)
-        run(connection.robots, [Working()], connection.clock, [beside], seconds)
+        run(connection.robots, [motion or Working()], connection.clock, [beside], seconds)
     shadow.close()
     return shadow, beside.found
 
@@ -129,7 +138,7 @@ def brake(model):
     [
         ("load gripper", add_load, 0.1, 0.01),
         ("spring front_left", soften, -0.4, 0.15),
-        ("drag rear_right", brake, 0.3, 0.05),
+        ("drag rear_right", brake, 0.3, 0.06),
     ],
 )
 def test_its_sensitivities_tell_what_the_robot_deviates_by(name, change, size, near):
@@ -150,9 +159,45 @@ def test_what_it_knows_it_expects():
 
 
 def test_it_learns_the_slope_that_it_stands_on():
-    shadow, _ = beside(6.0, slope=(0.06, -0.04))
+    shadow, _ = beside(6.0, slope=(0.06, -0.04), motion=Working(turning=0.0))
     # `FieldConfig.slope` is that along x and y; pitch is about x, and lifts y.
     assert shadow.slope == pytest.approx([-0.04, -0.06], abs=0.006)
+
+
+class Turning:
+    """Turns to the left where it stands, and sways ahead and back as it does."""
+
+    def reset(self):
+        pass
+
+    def step(self, observations):
+        time = observations[ROBOT].time
+        wheels = min(time, 1.0) * (2.5 * np.array([-1.0, 1.0, -1.0, 1.0]) + np.sin(2.0 * time))
+        return {ROBOT: Command(wheels, DRAWN.arm.home, WheelMode.SPEED, ArmMode.POSITION)}
+
+
+def test_slope_stays_that_of_the_ground_as_the_rover_turns():
+    field = FieldConfig(size=(6.0, 6.0), texture_pixels=16, slope=(0.06, -0.04))
+    shadow = Shadow(shadow_scene(RobotPlacement(ROBOT)), DRAWN, ())
+    kept, headings = Beside(shadow), []
+    with connect("sim", field=field, realism="ideal", seed=4) as connection:
+        data = connection.simulation.data
+
+        def around():
+            rotation = data.body(f"{ROBOT}/chassis").xmat.reshape(3, 3)
+            headings.append(np.arctan2(rotation[1, 0], rotation[0, 0]))
+            return False
+
+        run(connection.robots, [Turning()], connection.clock, [kept], 30.0, around)
+    turned = np.unwrap(headings)
+    assert turned[-1] - turned[0] > np.pi
+    # The ground rises along x: what is ahead for one heading is to the side for another.
+    cosine, sine = np.cos(turned[-1]), np.sin(turned[-1])
+    right, ahead = cosine * 0.06 - sine * 0.04, -sine * 0.06 - cosine * 0.04
+    assert shadow.slope == pytest.approx([ahead, -right], abs=0.025)
+    late = np.nanmean([np.square(each.values / each.sigma) for each in kept.found[1500:]], axis=0)
+    assert np.all(late < 6.0)  # noqa: PLR2004
+    shadow.close()
 
 
 def test_channels_that_are_missing_leave_it_to_predict():
