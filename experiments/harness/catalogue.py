@@ -114,6 +114,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figures 3-22 to 3-27, section 6.2 (a)",
         module="experiments.ch3.stereo.stereo",
         example="--parts mapping --scans 6 --record",
+        full="10 minutes",
     ),
     Experiment(
         name="ch3-swarm",
@@ -153,6 +154,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="chapter 5, Table 5-1, figures 5-11 to 5-14",
         module="experiments.ch5.insertion",
         example="--parts guides --seed 7227",
+        full="an hour",
     ),
     Experiment(
         name="ch5-contact",
@@ -160,6 +162,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figures A-5 to A-7, section 5.4 (forces)",
         module="experiments.ch5.contact.contact",
         example="--realism harsh --seed 6006",
+        full="6 minutes",
     ),
     Experiment(
         name="mission",
@@ -256,6 +259,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figures E-1, E-2, E-9",
         module="experiments.appe.mechanism.mechanism",
         example="--stages 3 --words 50",
+        full="4 minutes",
     ),
     Experiment(
         name="appe-placement",
@@ -280,6 +284,7 @@ _ALL: tuple[Experiment, ...] = (
         module="experiments.own.hidden.own_robot",
         example="--robots leg cart --count 5 --compared 2 --peer 0 --rovers 0",
         quick="a minute",
+        full="five hours",
     ),
     Experiment(
         name="bench",

@@ -47,7 +47,7 @@ def growth_figure(curves: Mapping[str, FloatArray]) -> Figure:
             axes.fill_between(views, low, high, color=colour, alpha=0.15)
         axes.set(xlabel="scans of both robots", ylabel=label, ylim=(0.0, None))
         axes.grid(alpha=0.3)
-    figure.axes[0].legend(loc="lower right", title="median and range of the scenes")
+    figure.axes[0].legend(loc="upper left", title="median and range of the scenes")
     return figure
 
 
