@@ -38,6 +38,9 @@ class Teleoperation:
         speed: Largest speed of its wheels along the ground [m/s].
         arm_rate: Largest rate of a joint of its arm [rad/s].
 
+    Attributes:
+        pace: Share of the speeds that is given to what is asked for; 1 again after `reset`.
+
     Raises:
         ValueError: If the wheels cannot be as fast.
     """
@@ -57,6 +60,7 @@ class Teleoperation:
     def reset(self) -> None:
         """Hold the rover, its arm where it is at the next step."""
         self._asked, self._new = self._rest, False
+        self.pace = 1.0
         self._until = self._time = -np.inf
         self._goal: FloatArray | None = None
 
@@ -89,9 +93,9 @@ class Teleoperation:
         if seen.time > self._until:
             self._asked = self._rest
         ahead, left, arm = self._asked
-        turn = left * self._speed / self._steer.half_track
-        wheels = self._steer.wheel_speeds(ahead * self._speed, turn)
-        goal, rates = self._move_arm(seen, self._rate * arm)
+        speed = self.pace * self._speed
+        wheels = self._steer.wheel_speeds(ahead * speed, left * speed / self._steer.half_track)
+        goal, rates = self._move_arm(seen, self.pace * self._rate * arm)
         return {self._name: Command(wheels, goal, WheelMode.SPEED, _mode(goal), rates)}
 
     def _move_arm(self, seen: Observation, rates: FloatArray) -> tuple[FloatArray, FloatArray]:

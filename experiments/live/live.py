@@ -13,13 +13,14 @@ import numpy as np
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
 
 from controllers.motion.teleoperation import Teleoperation
+from controllers.sensing.consequences import Consequence, consequence_of
 from experiments.harness.contract import ExperimentError
 from experiments.harness.figure_style import use_style
 from experiments.harness.live_viewer import LiveViewer
 from experiments.live.drive import LONGEST, DrivePage, hand_of, paced, served, told_to_end
 from experiments.live.live_options import Options
 from experiments.live.page_server import PageServer
-from experiments.live.twin_beside import TwinBeside, placement_of
+from experiments.live.twin_beside import Named, TwinBeside, placement_of
 from experiments.live.twin_folder import TwinFolder, next_run
 from experiments.live.twin_process import TwinProcess
 from experiments.live.twin_watch import Watch
@@ -31,6 +32,8 @@ from twin.loop import LoopRecorder, Tick
 from twin.loop import run as run_loop
 from twin.robot import Robot, RobotError
 
+SLOWER = 0.5
+"""Share of a person's speeds that is left after some changes, until the rover is activated anew."""
 _LOOK = 0.1  # Wall time between two looks at a log that is written [s].
 
 
@@ -198,7 +201,23 @@ class OwnPage(DrivePage):
     ) -> None:
         super().__init__(server, robot, hand, speed)
         self._robot, self._twin, self._hand = robot, twin, hand
-        self.wanted, self._why = False, ""
+        self.wanted, self._why, self._heeded = False, "", 0
+
+    def record(self, tick: Tick) -> None:
+        """Do also what the changes call for that were named."""
+        super().record(tick)
+        named = self._twin.state.named if self._twin.state is not None else ()
+        for each in named[self._heeded :]:
+            self._heed(each)
+        self._heeded = len(named)
+
+    def _heed(self, named: Named) -> None:
+        """Hold still, or go on slower, as a change calls for."""
+        consequence, why = consequence_of(named.finding, self._robot.description)
+        if consequence is Consequence.STOP:
+            self._hand.pace, self._why = 0.0, f"holds still, as {why}; activate it anew to go on"
+        elif consequence is Consequence.SLOWER and self._hand.pace > 0.0:
+            self._hand.pace, self._why = SLOWER, f"slower, as {why}"
 
     def take(self, told: Mapping[str, Any]) -> None:
         """Take what a person asked for."""
@@ -219,6 +238,6 @@ class OwnPage(DrivePage):
         if found is not None and self._twin.alive:
             doing = "learns the rover" if found.learning else "looks for changes"
             said = f"the twin {doing}; innovations {found.surprise:.2f} of what it states"
-            named = found.named
+            named = [str(each) for each in found.named]
         state = self._robot.lifecycle.value
         return {"active": self.wanted, "lifecycle": state, "why": self._why, "twin": [said, *named]}

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.live.twin_beside import TwinBeside
+from experiments.live.twin_beside import Named, TwinBeside
 from experiments.live.twin_folder import TwinFolder
 from experiments.live.twin_report import TwinRecording, print_found, write_report
 from models.compose import RobotPlacement
@@ -20,13 +20,13 @@ class TwinState(NamedTuple):
         time: Time of the rover that it has come to [s].
         surprise: Root mean square of the innovations of all channels over their deviations.
         learning: Whether it still learns its rover only.
-        named: Changes that it named in this run, as text.
+        named: Changes that it named in this run.
     """
 
     time: float
     surprise: float
     learning: bool
-    named: tuple[str, ...]
+    named: tuple[Named, ...]
 
 
 class Watch:
@@ -54,7 +54,7 @@ class Watch:
     @property
     def state(self) -> TwinState:
         """What there is to tell, once there was a block."""
-        last, named = self._twin.blocks[-1], tuple(map(str, self._twin.named))
+        last, named = self._twin.blocks[-1], tuple(self._twin.named)
         surprise = float(np.sqrt(np.nanmean(np.square(last.surprise))))
         return TwinState(last.time, surprise, bool(np.isnan(last.evidence)), named)
 

@@ -9,14 +9,19 @@ import numpy as np
 import pytest
 from websockets.sync.client import connect
 
-from controllers.sensing.changes import ChangeMemory
+from controllers.motion.teleoperation import Teleoperation
+from controllers.sensing.changes import UNKNOWN, ChangeMemory
 from controllers.sensing.diagnosis import Finding
 from experiments.harness.contract import ExperimentError, OptionError
+from experiments.live.live import SLOWER, OwnPage
 from experiments.live.live_options import Options
 from experiments.live.twin_beside import Block, Named, TwinMemory
 from experiments.live.twin_folder import EVERY, FOUND, TwinFolder, next_run
+from experiments.live.twin_watch import TwinState
 from tests.experiments.live import pages
+from twin.connect import connect as connect_robot
 from twin.logs.mapping import read_log
+from twin.loop import Tick
 
 LEARNING = 6.0
 """Time for which the rover is only learned [s]."""
@@ -115,6 +120,54 @@ def test_a_killed_run_leaves_its_history_and_the_next_one_goes_on_inactive(tmp_p
     again = int(np.argmax(np.diff(times))) + 1
     assert blocks[again + 2]["evidence"] != [None] == blocks[2]["evidence"]
     assert (out / "deviations.png").exists() and (out / "run-002.rrd").exists()
+
+
+class Beside:
+    """In the place of the twin's process: what it has named so far."""
+
+    alive, state = True, None
+
+    def name(self, *findings):
+        named = tuple(Named(1.0, each, "1") for each in findings)
+        self.state = TwinState(1.0, 0.5, learning=False, named=named)
+
+
+class NoPage:
+    """In the place of a page's server that nobody watches."""
+
+    watched = False
+
+    def taken(self):
+        return []
+
+
+def test_a_change_slows_the_rover_or_stops_it_until_a_person_activates_it_anew():
+    twin = Beside()
+    with connect_robot("sim") as connection:
+        (robot,) = connection.robots.values()
+        hand = Teleoperation(robot.description, 0.15)
+        page = OwnPage(NoPage(), robot, hand, 0.15, twin)
+        tick = Tick(0, 0.0, {robot.name: robot.observe()}, {})
+        page.record(tick)
+        assert hand.pace == 1.0
+        battery, unknown = Finding("battery", 0.2, 0.01, 9.0), Finding(UNKNOWN, 0.0, 0.0, 0.0)
+        twin.name(battery)
+        page.record(tick)
+        assert hand.pace == SLOWER
+        assert page.more()["why"] == "slower, as all motors have lost torque"
+        twin.name(battery, unknown, battery)
+        page.record(tick)
+        assert hand.pace == 0.0
+        assert page.more()["why"].startswith("holds still, as what changed is not known")
+        hand.ask(1.0, 0.0, [1.0] * 4)
+        command = hand.step({robot.name: robot.observe()})[robot.name]
+        assert np.all(command.wheels == 0.0)
+        page.take({"activate": True})
+        page.record(tick)  # What was named before is heeded once.
+        assert hand.pace == 1.0 and page.wanted
+        hand.ask(1.0, 0.0, [0.0] * 4)
+        command = hand.step({robot.name: robot.observe()})[robot.name]
+        assert np.all(command.wheels > 0.0)
 
 
 @pytest.mark.parametrize(
