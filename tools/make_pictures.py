@@ -118,6 +118,7 @@ RECIPES = (
             "docs/figure_3-25.png": Shown("figures/figure_3-25.png"),
             "docs/figure_3-27b.png": Shown("figures/figure_3-27b.png", 1000, 256),
         },
+        "ten minutes",
     ),
     _experiment("ch4-planar", {"docs/approach.gif": Shown("approach.gif")}, "three minutes"),
     _experiment(
@@ -134,6 +135,7 @@ RECIPES = (
             "docs/figure_5-12.png": Shown("figures/figure_5-12.png", 579, 256),
             "docs/table_5-1.png": Shown("figures/table_5-1.png"),
         },
+        "an hour",
     ),
     Recipe(
         f"-m experiments ch5-insertion --quick --record --out {OUT}\n"

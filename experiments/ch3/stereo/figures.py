@@ -47,7 +47,10 @@ def growth_figure(curves: Mapping[str, FloatArray]) -> Figure:
             axes.fill_between(views, low, high, color=colour, alpha=0.15)
         axes.set(xlabel="scans of both robots", ylabel=label, ylim=(0.0, None))
         axes.grid(alpha=0.3)
-    figure.axes[0].legend(loc="upper left", title="median and range of the scenes")
+    figure.legend(
+        *figure.axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3,
+        title="median and range of the scenes",
+    )  # fmt: skip
     return figure
 
 
