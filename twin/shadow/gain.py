@@ -1,8 +1,9 @@
 """How far a measurement corrects a shadow's state: the steady gain of a Kalman filter.
 
-The model is linearised about rest in the arm's present posture, without dry friction: what sticks
-there slides in motion. Its state is a small place and rate of each degree of freedom and the slope
-of the ground. Where a rover stands and which way it looks, nothing tells, and nothing corrects.
+The model is linearised about rest on level ground in the arm's present posture, looking along the y
+axis, without dry friction: what sticks there slides in motion. Its state is a small place and rate
+of each degree of freedom and the slope of the ground. Where a rover stands and which way it looks,
+nothing tells, and nothing corrects.
 """
 
 import copy
@@ -103,19 +104,18 @@ class SteadyGain:
         self._covariance = np.diag(np.full(2 * freedoms + 2, 1e-4))
         self._at: FloatArray | None = None
 
-    def follow(self, places: FloatArray, gravity: FloatArray) -> None:
+    def follow(self, angles: FloatArray) -> None:
         """Calculate the gain, if the arm's posture has changed.
 
         Args:
-            places: (nq,) state of the shadow.
-            gravity: (3,) by the ground's slope [m/s^2].
+            angles: (joints,) of the arm [rad].
         """
-        angles = places[self._readings.joints[0]]
         first = self._at is None
         if self._at is not None and np.abs(angles - self._at).max() < self._posture:
             return
         self._at = angles.copy()
-        self._model.opt.gravity[:] = gravity
+        places = self._model.key_qpos[0].copy()
+        places[self._readings.joints[0]] = angles
         settle(self._model, self._data, places, self._readings)
         transition, sensed = self._linearised()
         for _ in range(_FIRST if first else _NEXT):

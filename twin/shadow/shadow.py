@@ -25,6 +25,10 @@ from twin.shadow.readings import Readings
 
 MOST_LOST = 10
 """Ticks between two observations after which the twin still knows where the robot is."""
+LOST = 10.0
+"""Root mean square of all innovations over their deviations, above which a twin is lost."""
+_PATIENCE = 300  # Ticks over which that is averaged.
+_CAPPED = 1.2  # How far beyond it innovations count, so that a twin is not lost within a second.
 BEGINNING = 2.0
 """Time in which the twin comes to rest before it begins [s]."""
 
@@ -151,21 +155,27 @@ class Shadow:
 
         Returns:
             The innovations; None for the first observation, with which the twin begins, and until
-            the arm's angles and the tilt are measured. After a longer gap it begins anew.
+            the arm's angles and the tilt are measured. After a longer gap it begins anew, and where
+            it misses all for seconds: someone lifted the robot, or it fell.
         """
         before, self._before = self._before, seen
         ticks = 0 if before is None else round((seen.time - before.time) / SERVO_PERIOD)
-        if before is None or not 0 < ticks <= MOST_LOST:
+        if before is None or not 0 < ticks <= MOST_LOST or self._missed > LOST**2:
             if not self._begin(seen):
                 self._before = None
             return None
-        self._follow()
+        self._gain.follow(self._states[0, 1 + self._readings.joints[0]])
         for _ in range(ticks - 1):
             self._predict(applied)
         expected = self._predict(applied)
         measured = self._readings.measured(seen, before)
         innovations = measured - expected
         self._correct(np.nan_to_num(innovations))
+        there = innovations[0, ~np.isnan(measured)] / self._gain.sigma[~np.isnan(measured)]
+        square = float(there @ there) / max(1, len(there))
+        # A number that is none: it was thrown out of the physics.
+        square = min(square, (_CAPPED * LOST) ** 2) if math.isfinite(square) else math.inf
+        self._missed += (square - self._missed) / _PATIENCE
         steps = np.array([each.step for each in self.deviations])
         return Innovation(
             seen.time,
@@ -173,14 +183,6 @@ class Shadow:
             self._gain.sigma,
             (expected[1:] - expected[0]) / steps[:, None],
         )
-
-    def _follow(self) -> None:
-        """Let the gain follow the arm; it is that of a rover that looks along the y axis."""
-        turn = _turn(-self._heading)
-        places, gravity = self._states[0, 1 : 1 + self.model.nq].copy(), self._models[0].opt.gravity
-        half = -0.5 * self._heading
-        places[3:7] = _product(np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), places[3:7])
-        self._gain.follow(places, np.append(turn @ gravity[:2], gravity[2]))
 
     def _outer(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return volts of each axis at full duty (m, axes), and what readings are off by (m, n)."""
@@ -195,6 +197,7 @@ class Shadow:
 
     def _begin(self, seen: Observation) -> bool:
         """Set the twin to rest where the robot is measured, and return whether it is."""
+        self._missed = 0.0
         if not (seen.arm_angles.usable and seen.inclinometer.usable):
             return False
         drawn = self.model
