@@ -42,6 +42,7 @@ CONTENTS = {
         "docs/performance",
         "docs/mission",
         "docs/own_robot",
+        "docs/living_twin",
         "docs/gallery",
     ],
     "Models": [

@@ -33,6 +33,7 @@ LIGHTEST = {
     "ch4": "ch4-montecarlo",
     "ch5": "ch5-contact",
     "envelope": "mission-envelope",
+    "living": "living-twin",
     "mission": "mission",
     "own": "own-robot",
 }

@@ -220,6 +220,7 @@ class SensorBank:
             wiring: Sources of the true values, and which channels lack them.
         """
         self.size = sum(widths.values())
+        self._places = dict(zip(widths, np.cumsum([0, *widths.values()]).tolist()))
         # One tick's readings and their times: NumPy makes an item's views all in one call.
         self._reading = np.dtype(
             [(name, np.float64, (width,)) for name, width in widths.items()]
@@ -310,6 +311,17 @@ class SensorBank:
             )
             for view, stamp, limit, connected in zip(reading, stamps, self._limits, self._connected)
         ]
+
+    def drift(self, name: str, number: int, by: float) -> None:
+        """Let a zero drift, for good.
+
+        Args:
+            name: Name of the channel.
+            number: Which of its numbers.
+            by: What is read too much from now on, in the channel's unit.
+        """
+        check_channel(name)
+        self._table[_BIAS, self._places[name] + number] += by
 
     def disconnect(self, name: str) -> None:
         """Disconnect a sensor, as a broken wire does; its channel is missing from now on."""

@@ -113,6 +113,15 @@ class Servo:
         """Zero the integrals."""
         self._axes[-1] = 0.0
 
+    def weaken(self, axis: int, share: float) -> None:
+        """Take a share of a motor's input at full duty, for good, as a low battery does.
+
+        Args:
+            axis: Number of the axis, wheels first.
+            share: What is lost of what it got, 0 to 1.
+        """
+        self._axes[5, axis] *= 1.0 - share
+
     def _lay_out(self) -> None:
         """Allocate the next block of duties, which is written here and read-only outside."""
         self._block: Any = np.zeros(_BLOCK, self._parts)

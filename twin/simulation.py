@@ -108,6 +108,15 @@ class SimRobot:
         self._driven = False
         self._observation = Observation(0.0)
 
+    def weaken(self, axis: str, share: float) -> None:
+        """Take a share of a motor's voltage, for good; the robot does not know.
+
+        Args:
+            axis: Name of the axis.
+            share: What is lost of what it got, 0 to 1.
+        """
+        self._servo.weaken(self.description.axes.index(axis), share)
+
     def configure(self, time: float) -> None:
         """Take the first samples and go to INACTIVE, with all axes at zero; the owner calls it."""
         self.sensors.reset()

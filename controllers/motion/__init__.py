@@ -9,5 +9,5 @@
 - `tip_over`, `online_guard`: zero-moment point and guards against tipping (eq. A-5).
 - `guarded_swing`: a swing of the arm under one of these guards, or under none.
 - `teleoperation`: a person who drives the rover and moves its arm.
-- `simple_motions`: motions of all axes that exercise loop, boards and sensors.
+- `simple_motions`: motions of all axes that exercise loop, boards and sensors, and work at random.
 """

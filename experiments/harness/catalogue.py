@@ -287,6 +287,14 @@ _ALL: tuple[Experiment, ...] = (
         full="five hours",
     ),
     Experiment(
+        name="living-twin",
+        summary="what a twin beside a rover notices, by name, size and delay",
+        thesis="beyond the thesis",
+        module="experiments.living.living_twin",
+        example="--seeds 3 --learning 60 --unchanged 600",
+        full="eight hours",
+    ),
+    Experiment(
         name="bench",
         summary="speed and accuracy measured against a named peer in the same run",
         thesis="beyond the thesis",

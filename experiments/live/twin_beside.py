@@ -15,7 +15,7 @@ from twin.logs.ticks import RoverTick
 from twin.robot import Command
 from twin.servo import SERVO_PERIOD
 from twin.shadow.deviations import Deviation, rover_deviations, shadow_scene
-from twin.shadow.shadow import Shadow
+from twin.shadow.shadow import Shadow, ShadowConfig
 
 
 @dataclasses.dataclass(frozen=True)
@@ -83,6 +83,7 @@ class TwinBeside:
         learning: Time for which it is only learned [s].
         begin: Time of the rover's own zero [s].
         memory: What is known of it already; None for nothing.
+        threads: Count of threads that share its models.
 
     Attributes:
         drawn: The rover as drawn.
@@ -101,12 +102,14 @@ class TwinBeside:
         learning: float,
         begin: float = 0.0,
         memory: TwinMemory | None = None,
+        threads: int = 2,
     ) -> None:
         self.drawn = describe_rover(placed.name, card=placed.card, mast=placed.mast)
         self.deviations = rover_deviations(self.drawn)
-        self.shadow = Shadow(shadow_scene(placed), self.drawn, self.deviations)
-        config, ticks = ChangeConfig(), round(learning / SERVO_PERIOD)
-        self._config = dataclasses.replace(config, learning=max(1, ticks // config.block))
+        config = ShadowConfig(threads=threads)
+        self.shadow = Shadow(shadow_scene(placed), self.drawn, self.deviations, config)
+        usual, ticks = ChangeConfig(), round(learning / SERVO_PERIOD)
+        self._config = dataclasses.replace(usual, learning=max(1, ticks // usual.block))
         self._changes = changes_of(self.deviations)
         spreads = np.array([each.spread for each in self.deviations])
         self._detector = ChangeDetector(spreads, self._changes, self._config)

@@ -1,0 +1,144 @@
+"""``living-twin``: what a twin beside a rover notices, by name, size and delay.
+
+Each seed makes a rover within its tolerances, and a twin of the drawing learns it at work. Then one
+thing happens to it, or nothing. Cells, sizes, motion and measures are in ``docs/living_twin.md``.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy import stats
+
+from experiments.harness.intervals import CONFIDENCE, distribution, error_bars, success_fraction
+from experiments.harness.output import Output
+from experiments.harness.sweep import sweep
+from experiments.living.living_twin_options import Options
+from experiments.living.trial import LivingTrial, Watched, watch
+
+CELLS = (
+    ("load base", 1.0), ("load base", 2.0),
+    ("load gripper", 0.1), ("load gripper", 0.2),
+    ("spring wheel", 0.5), ("spring wheel", 0.7),
+    ("drag wheel", 1.0), ("drag wheel", 10.0),
+    ("grip wheel", 0.5), ("grip wheel", 0.7),
+    ("grip all", 0.3), ("grip all", 0.5),
+    ("supply joint", 0.3), ("supply joint", 0.6),
+    ("battery", 0.15), ("battery", 0.3),
+    ("zero joint", 0.035), ("zero joint", 0.087),
+    ("zero tilt", 0.017), ("zero tilt", 0.035),
+)  # fmt: skip
+"""What happens, with its size as of `happenings.happen`; of parts one is chosen at random."""
+QUICK = (("load gripper", 0.2),)
+SECONDS = 12.0, 8.0  # Learning, and unchanged time, of a quick run [s].
+DELAY, RIGHT, COVERED, ALARMS = 3.0, 0.9, 0.9, 1.0  # Bars; the last is of ten hours.
+WITHIN = stats.norm.ppf(0.5 + CONFIDENCE / 2)
+
+
+def run(options: Options, output: Output) -> None:
+    """Watch rovers to which each thing happens, and others to which nothing does.
+
+    Args:
+        options: ``quick`` takes one rover, one happening and short times.
+        output: Receives ``detection_delay_s``, ``isolation_fraction`` and ``size_coverage95``, also
+            by cell, ``false_alarms_per_10h`` and ``surprise``.
+    """
+    learning, unchanged = SECONDS if options.quick else (options.learning, options.unchanged)
+    cells = QUICK if options.quick else CELLS
+    seeds = options.job_seeds(30, 1)
+    trials = [LivingTrial(seed, name, size, learning) for name, size in cells for seed in seeds]
+    trials += [LivingTrial(seed, "", 0.0, learning, unchanged) for seed in seeds]
+    results = sweep(watch, trials, options, output, label="rovers")
+    shares = _measure(trials, results, output)
+    _measure_alarms(results, output)
+    output.table("watched", *_table(trials, results))
+    output.figure("changes", _figure(shares))
+
+
+def _measure(
+    trials: Sequence[LivingTrial], results: Sequence[Watched], output: Output
+) -> dict[str, tuple[dict[str, float | int], list[float]]]:
+    """Measure the changes; return by cell the share that is named right, and the delays."""
+    cells: dict[str, list[Watched]] = {}
+    for trial, result in zip(trials, results, strict=True):
+        if trial.happening:
+            cells.setdefault(f"{trial.happening} {trial.size:g}", []).append(result)
+    found: dict[str, tuple[dict[str, float | int], list[float]]] = {}
+    for name, each in cells.items():
+        share = success_fraction(result.right for result in each)
+        output.measure(f"isolation_fraction/{name}", share)
+        delays = [result.delay for result in each if result.found]
+        if delays:
+            output.measure(f"detection_delay_s/{name}", distribution(delays))
+        found[name] = share, delays
+    changed = [result for each in cells.values() for result in each]
+    right = success_fraction(result.right for result in changed)
+    output.measure("isolation_fraction", right)
+    output.check("named right", right["mean"], f">= {RIGHT:g}", right["mean"] >= RIGHT)
+    # What was never named counts as later than any.
+    delays = distribution(result.delay if result.found else np.inf for result in changed)
+    output.measure("detection_delay_s", delays)
+    soon = delays["median"] <= DELAY
+    output.check("delay, median [s]", delays["median"], f"<= {DELAY:g}", soon)
+    sizes = [_covered(result) for result in changed if result.right]
+    if sizes:
+        covered = success_fraction(sizes)
+        output.measure("size_coverage95", covered)
+        enough = covered["mean"] >= COVERED
+        output.check("size within its 95 % band", covered["mean"], f">= {COVERED:g}", enough)
+    return found
+
+
+def _covered(result: Watched) -> bool:
+    return abs(result.found_size - result.size) <= WITHIN * result.sigma
+
+
+def _measure_alarms(results: Sequence[Watched], output: Output) -> None:
+    """Count what was named before anything happened, with the interval of a Poisson count."""
+    count = sum(len(each.alarms) for each in results)
+    hours = sum(each.seconds for each in results) / 3600.0
+    tail = (1.0 - CONFIDENCE) / 2.0
+    low = float(stats.chi2.ppf(tail, 2 * count)) / 2.0 if count else 0.0
+    high = float(stats.chi2.ppf(1.0 - tail, 2 * count + 2)) / 2.0
+    rate, low, high = (10.0 * each / hours for each in (count, low, high))
+    centre = dict.fromkeys(("median", "mean", "p95"), rate)
+    output.measure("false_alarms_per_10h", {**centre, "low": low, "high": high, "n": len(results)})
+    output.measure("watched_hours", hours)
+    output.check("false alarms in ten hours", rate, f"<= {ALARMS:g}", rate <= ALARMS)
+    output.measure("surprise", distribution(each.surprise for each in results))
+
+
+def _table(
+    trials: Sequence[LivingTrial], results: Sequence[Watched]
+) -> tuple[list[str], list[list[object]]]:
+    columns = [
+        "seed", "happening", "size", "true size", "delay [s]", "named", "named size", "sigma",
+        "named before", "watched before [s]", "surprise",
+    ]  # fmt: skip
+    rows: list[list[object]] = [
+        [
+            trial.seed, each.name, trial.size, each.size, each.delay, each.found, each.found_size,
+            each.sigma, "; ".join(each.alarms), each.seconds, each.surprise,
+        ]
+        for trial, each in zip(trials, results, strict=True)
+    ]  # fmt: skip
+    return columns, rows
+
+
+def _figure(cells: dict[str, tuple[dict[str, float | int], list[float]]]) -> Figure:
+    """Draw by cell how many are named right, and how soon something is named."""
+    figure = Figure(figsize=(9.0, 1.5 + 0.28 * len(cells)), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True)
+    places = np.arange(len(cells))[::-1]
+    values, bars = error_bars([share for share, _ in cells.values()])
+    left.barh(places, values, xerr=bars, height=0.7)
+    left.axvline(RIGHT, color="0.4", lw=0.8, ls=":")
+    left.set(xlabel="named right (95 % interval)", xlim=(0.0, 1.05))
+    left.set_yticks(places, list(cells))
+    for place, (_, delays) in zip(places, cells.values(), strict=True):
+        right.plot(delays, np.full(len(delays), place), "|", color="0.5")
+        if delays:
+            right.plot(np.median(delays), place, "o", color="C0")
+    right.axvline(DELAY, color="0.4", lw=0.8, ls=":")
+    right.set_xlabel("time until something is named [s]; dots: medians; dotted: bars")
+    return figure
