@@ -147,7 +147,9 @@ RECIPES = (
         "appd-boards", {"docs/fault_stops.png": Shown("figures/fault_stops.png")}, "four minutes"
     ),
     _experiment(
-        "bench --only markers", {"docs/fiducials.png": Shown("figures/fiducials.png")}
+        "bench --only markers",
+        {"docs/fiducials.png": Shown("figures/fiducials.png")},
+        "ten minutes",
     ),
 )  # fmt: skip
 

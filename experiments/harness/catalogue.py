@@ -300,6 +300,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="beyond the thesis",
         module="experiments.bench.bench",
         example="--only loop mapping",
+        full="40 minutes",
     ),
 )
 
