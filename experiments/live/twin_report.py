@@ -134,7 +134,7 @@ class TwinRecording:
             self._recorder.log_scalars(f"innovations/{name}", value)
         for each, value in zip(self._twin.deviations, block.deviations.tolist(), strict=True):
             kind, _, name = each.name.partition(" ")
-            self._recorder.log_scalars(f"deviations/{kind}/{name}", value)
+            self._recorder.log_scalars(f"deviations/{kind}/{name.replace(' ', '_')}", value)
         self._recorder.log_scalars("evidence", block.evidence)
 
     def add_named(self, named: Named) -> None:
@@ -168,7 +168,7 @@ def write_report(
     learned = np.array([each.deviations for each in blocks])
     sigma = np.array([each.sigma for each in blocks])
     _plot_deviations(times, learned, sigma, deviations, named, folder)
-    rms = np.sqrt(np.nanmean(np.square([each.surprise for each in blocks]), axis=0))
+    rms = [_rms(np.array(row)) for row in zip(*(each.surprise for each in blocks), strict=True)]
     content = {
         "deviations": {
             each.name: {"value": value, "sigma": deviation, "unit": each.unit}
@@ -179,10 +179,16 @@ def write_report(
             for each in named
         ],
         "slope": twin.shadow.slope.tolist(),
-        "innovations_over_sigma": dict(zip(CHANNELS, rms.tolist(), strict=True)),
+        "innovations_over_sigma": dict(zip(CHANNELS, rms, strict=True)),
         **more,
     }
     (folder / "live.json").write_text(json.dumps(content, indent=1) + "\n")
+
+
+def _rms(values: FloatArray) -> float | None:
+    """Return the root mean square of a channel; none of one that was never measured."""
+    there = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(there**2))) if len(there) else None
 
 
 def _plot_surprise(times: FloatArray, surprise: FloatArray, folder: Path) -> None:
