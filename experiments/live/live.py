@@ -132,7 +132,8 @@ def own(options: Options) -> None:
         number, mended = next_run(options.out)
         if np.isfinite(mended):
             print(f"the run before was killed; its log was completed, up to {mended:.2f} s")
-        twin = stack.enter_context(TwinProcess(placed, options.out, number, options.learning))
+        twin = TwinProcess(placed, options.out, number, options.learning)
+        stack.callback(twin.close)
         twin.wait()
         path = options.out / f"run-{number:03d}"
         log = stack.enter_context(LogWriter(path.with_suffix(".mcap"), connection.settings))

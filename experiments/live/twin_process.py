@@ -8,8 +8,7 @@ import signal
 import time
 from multiprocessing.connection import Connection as Pipe
 from pathlib import Path
-from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from experiments.harness.contract import ExperimentError
 from experiments.harness.figure_style import use_style
@@ -47,7 +46,7 @@ class Timed(NamedTuple):
 class TwinProcess(LoopRecorder):
     """Hands the ticks of a rover to its twin, and never waits for it while the rover is driven.
 
-    Use it in a ``with`` statement, and `wait` first: at the end the twin writes its figures.
+    `wait` first, and `close` at the end, when the twin writes its figures.
 
     Args:
         placed: The rover; its name and what it carries.
@@ -69,17 +68,6 @@ class TwinProcess(LoopRecorder):
         tells.close()
         self.state: TwinState | None = None
         self._lost = 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     @property
     def alive(self) -> bool:

@@ -257,15 +257,11 @@ class Shadow:
 
 def _turned(quaternions: FloatArray, angles: FloatArray) -> FloatArray:
     """Return quaternions (m, 4) turned by small angles (m, 3) about their own axes [rad]."""
-    found = _product(quaternions, np.hstack([np.ones((len(angles), 1)), 0.5 * angles]))
+    w, v = quaternions[:, :1], quaternions[:, 1:]
+    half = 0.5 * angles
+    real = w - np.sum(v * half, axis=1, keepdims=True)
+    found = np.hstack([real, v + w * half + np.cross(v, half)])
     return found / np.linalg.norm(found, axis=1, keepdims=True)
-
-
-def _product(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the products of quaternions (..., 4)."""
-    w, v, a, b = one[..., :1], one[..., 1:], other[..., :1], other[..., 1:]
-    real = w * a - np.sum(v * b, axis=-1, keepdims=True)
-    return np.concatenate([real, w * b + a * v + np.cross(v, b)], axis=-1)
 
 
 def _turn(angle: float) -> FloatArray:
