@@ -1,7 +1,8 @@
-"""``living-twin``: what a twin beside a rover notices, by name, size and delay.
+"""``living-twin``: what a twin beside a rover notices, and what it foresees.
 
 Each seed makes a rover within its tolerances, and a twin of the drawing learns it at work. Then one
-thing happens to it, or nothing. Cells, sizes, motion and measures are in ``docs/living_twin.md``.
+thing happens to it, or nothing. Others swing a load or drive with it on a slope, which may tip them
+over, and look ahead. Cells, sizes, motions and measures are in ``docs/living_twin.md``.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,8 @@ from scipy import stats
 from experiments.harness.intervals import CONFIDENCE, distribution, error_bars, success_fraction
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
-from experiments.living.living_twin_options import Options
+from experiments.living.ahead import KINDS, LIKELY, AheadTrial, Foreseen, foresee
+from experiments.living.living_twin_options import PARTS, Options
 from experiments.living.trial import LivingTrial, Watched, watch
 
 CELLS = (
@@ -35,14 +37,27 @@ DELAY, RIGHT, COVERED, ALARMS = 3.0, 0.9, 0.9, 1.0  # Bars; the last is of ten h
 WITHIN = stats.norm.ppf(0.5 + CONFIDENCE / 2)
 
 
+FORESEEN, FALSE_STOPS, TOOK = 0.95, 0.05, 0.5
+"""Bars of looking ahead; the last is the time that it takes in the median [s]."""
+
+
 def run(options: Options, output: Output) -> None:
-    """Watch rovers to which each thing happens, and others to which nothing does.
+    """Run the chosen parts.
 
     Args:
-        options: ``quick`` takes one rover, one happening and short times.
+        options: ``quick`` takes one rover, one happening, short times and few motions.
         output: Receives ``detection_delay_s``, ``isolation_fraction`` and ``size_coverage95``, also
-            by cell, ``false_alarms_per_10h`` and ``surprise``.
+            by cell, ``false_alarms_per_10h`` and ``surprise``; of looking ahead
+            ``tip_foreseen_fraction`` and ``false_stop_fraction``, also by kind of motion, and
+            ``look_ahead_s``.
     """
+    parts = {"changes": _changes, "ahead": _ahead}
+    for part in options.parts or PARTS:
+        parts[part](options, output)
+
+
+def _changes(options: Options, output: Output) -> None:
+    """Watch rovers to which each thing happens, and others to which nothing does."""
     learning, unchanged = SECONDS if options.quick else (options.learning, options.unchanged)
     cells = QUICK if options.quick else CELLS
     seeds = options.job_seeds(30, 1)
@@ -53,6 +68,70 @@ def run(options: Options, output: Output) -> None:
     _measure_alarms(results, output)
     output.table("watched", *_table(trials, results))
     output.figure("changes", _figure(shares))
+
+
+def _ahead(options: Options, output: Output) -> None:
+    """Let rovers move on slopes, and compare what they foresaw with what came."""
+    seeds = options.job_seeds(150, 3)
+    trials = [AheadTrial(seed, kind) for kind in KINDS for seed in seeds]
+    results = sweep(foresee, trials, options, output, label="motions")
+    measure_ahead(list(zip(trials, results, strict=True)), output)
+
+
+def measure_ahead(pairs: Sequence[tuple[AheadTrial, Foreseen]], output: Output) -> None:
+    """Count tips that were foreseen, and stops that were not needed.
+
+    Args:
+        pairs: Motions and what was foreseen of them.
+        output: Receives the measures, a table and a figure.
+    """
+    kinds = {"": pairs, **{f"/{kind}": [p for p in pairs if p[0].kind == kind] for kind in KINDS}}
+    bars = {
+        "tip_foreseen_fraction": ("tips foreseen", f">= {FORESEEN:g}", FORESEEN, 1.0),
+        "false_stop_fraction": ("false stops", f"<= {FALSE_STOPS:g}", 0.0, FALSE_STOPS),
+    }
+    for end, some in kinds.items():
+        for key, (label, bar, low, high) in bars.items():
+            tipped = key == "tip_foreseen_fraction"
+            chosen = [each.foretold for _, each in some if np.isfinite(each.tipped) == tipped]
+            if not chosen:
+                continue
+            share = success_fraction(chosen)
+            output.measure(f"{key}{end}", share)
+            if not end:
+                output.check(label, share["mean"], bar, low <= share["mean"] <= high)
+    took = distribution(each.took for _, each in pairs)
+    output.measure("look_ahead_s", took)
+    output.check(
+        "looking ahead, median [s]", took["median"], f"<= {TOOK:g}", took["median"] <= TOOK
+    )
+    columns = ["seed", "kind", "slope [deg]", "load [kg]", "tipped [s]", "largest probability"]
+    rows: list[list[object]] = [
+        [trial.seed, trial.kind, float(np.degrees(each.slope)), each.load, each.tipped,
+         float(np.max(each.chances))]
+        for trial, each in pairs
+    ]  # fmt: skip
+    output.table("ahead", columns, rows)
+    output.figure("ahead", _ahead_figure(pairs))
+
+
+def _ahead_figure(pairs: Sequence[tuple[AheadTrial, Foreseen]]) -> Figure:
+    """Draw the largest probability of each motion, by whether the rover tipped over."""
+    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
+    grid = np.linspace(0.0, 1.0, 21)
+    for axes, kind in zip(figure.subplots(1, 2, sharex=True), KINDS, strict=True):
+        for tipped, label in ((True, "tipped over"), (False, "did not")):
+            chances = [
+                float(np.max(each.chances))
+                for trial, each in pairs
+                if trial.kind == kind and np.isfinite(each.tipped) == tipped
+            ]
+            axes.hist(chances, grid, histtype="step", label=f"{label} ({len(chances)})")
+        axes.axvline(LIKELY, color="0.4", lw=0.8, ls=":")
+        axes.set(title=f"{kind}s", xlabel="largest probability that was foreseen")
+        axes.legend()
+    figure.axes[0].set_ylabel("motions")
+    return figure
 
 
 def _measure(

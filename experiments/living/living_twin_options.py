@@ -8,6 +8,8 @@ import tyro
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 
+PARTS = ("changes", "ahead")
+
 
 @dataclasses.dataclass(frozen=True)
 class Options(contract.RepeatedOptions):
@@ -16,13 +18,15 @@ class Options(contract.RepeatedOptions):
     Attributes:
         learning: Time for which each twin only learns its rover [s].
         unchanged: Time for which each rover works to which nothing happens, beside that [s].
+        parts: Which parts to run (unless said, all).
     """
 
     learning: Annotated[float, tyro.conf.arg(metavar="S")] = 60.0
     unchanged: Annotated[float, tyro.conf.arg(metavar="S")] = 240.0
+    parts: Annotated[tuple[str, ...], contract.some_of(PARTS)] = ()
 
     def __post_init__(self) -> None:
-        """Refuse times that are none.
+        """Refuse times that are none, and unknown parts.
 
         Raises:
             OptionError: Naming the option.
@@ -31,3 +35,5 @@ class Options(contract.RepeatedOptions):
         for name in ("learning", "unchanged"):
             if not 0.0 < getattr(self, name) < 1e5:  # noqa: PLR2004
                 raise OptionError(f"--{name}: expected above 0 s, got {getattr(self, name):g}")
+        if unknown := set(self.parts) - set(PARTS):
+            raise OptionError(f"--parts {min(unknown)}: expected some of {', '.join(PARTS)}")
