@@ -203,6 +203,11 @@ def _advance(
         borne[rear] += normal
     # The joint moves to the side where only one half rolls, and tyres with it.
     most, apart = copies.grips[k] * min(borne[0], borne[1]) * height, state[3]
+    # What else takes of their friction, weight on a slope and the arm's swing, holds nothing.
+    radius = np.hypot(chassis.wheels[0, 0], chassis.wheels[0, 1])
+    taken = np.hypot(np.hypot(force[0], force[1]), moved[5] / radius)
+    taken /= copies.grips[k] * max(borne[0] + borne[1], 1e-9)
+    most *= np.sqrt(max(0.0, 1.0 - taken**2))
     if not settling and moving.scrubs[i] != 0.0:
         held[0] = apart + aside * moving.scrubs[i] * most / _STUCK
     held[0] = min(max(held[0], apart - most / _STUCK), apart + most / _STUCK)

@@ -288,7 +288,7 @@ _ALL: tuple[Experiment, ...] = (
     ),
     Experiment(
         name="living-twin",
-        summary="what a twin beside a rover notices, by name, size and delay",
+        summary="what a twin beside a rover notices, by name, size and delay, and what it foresees",
         thesis="beyond the thesis",
         module="experiments.living.living_twin",
         example="--seeds 3 --learning 60 --unchanged 600",

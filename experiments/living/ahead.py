@@ -88,8 +88,16 @@ class Foreseen:
 
     @property
     def foretold(self) -> bool:
-        """Whether it a guard would have stopped it."""
-        return bool(np.any(self.chances > LIKELY))
+        """Whether a guard would have stopped it, of one that tipped over not too early."""
+        looked = (
+            self.chances[self.asked >= self.tipped - self.horizon] if self.over else self.chances
+        )
+        return bool(np.any(looked > LIKELY))
+
+    @property
+    def over(self) -> bool:
+        """Whether the rover tipped over."""
+        return math.isfinite(self.tipped)
 
 
 class Motion:

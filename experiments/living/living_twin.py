@@ -93,7 +93,7 @@ def measure_ahead(pairs: Sequence[tuple[AheadTrial, Foreseen]], output: Output) 
     for end, some in kinds.items():
         for key, (label, bar, low, high) in bars.items():
             tipped = key == "tip_foreseen_fraction"
-            chosen = [each.foretold for _, each in some if np.isfinite(each.tipped) == tipped]
+            chosen = [each.foretold for _, each in some if each.over == tipped]
             if not chosen:
                 continue
             share = success_fraction(chosen)
@@ -124,7 +124,7 @@ def _ahead_figure(pairs: Sequence[tuple[AheadTrial, Foreseen]]) -> Figure:
             chances = [
                 float(np.max(each.chances))
                 for trial, each in pairs
-                if trial.kind == kind and np.isfinite(each.tipped) == tipped
+                if trial.kind == kind and each.over == tipped
             ]
             axes.hist(chances, grid, histtype="step", label=f"{label} ({len(chances)})")
         axes.axvline(LIKELY, color="0.4", lw=0.8, ls=":")

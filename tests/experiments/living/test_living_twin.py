@@ -23,7 +23,7 @@ def measured(tmp_path, results, monkeypatch):
     monkeypatch.setattr(living_twin, "CELLS", (("load base", 1.0),))
     monkeypatch.setattr(living_twin, "sweep", lambda *_, **__: results)
     output = Output("living-twin", Options(seeds=seeds, out=tmp_path), [])
-    living_twin.run(Options(seeds=seeds, out=tmp_path), output)
+    living_twin.run(Options(seeds=seeds, out=tmp_path, parts=("changes",)), output)
     output.finish()
     output.close()
     return json.loads((tmp_path / "living-twin" / "metrics.json").read_text())
