@@ -15,6 +15,7 @@ PAGES = (
     "README.md",
     "docs/extending.md",
     "docs/parts.md",
+    "docs/running.md",
     *(
         f"docs/tutorials/{name}.md"
         for name in ("camera", "floor_plan", "identify", "insertion", "sensor")

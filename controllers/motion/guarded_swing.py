@@ -1,7 +1,8 @@
 """A swing of the arm from rest to rest that a guard against tipping over slows (Thesis A.3).
 
-The guard plans the swing slower as a whole before it begins (`tip_over.guard`), slows it tick by
-tick while it runs (`online_guard.OnlineGuard`), or is absent, for comparison.
+The guard plans the swing slower as a whole before it begins, by the zero-moment point
+(`tip_over.guard`) or by how likely it is to tip the rover over (`look_ahead.slow`), slows it tick
+by tick while it runs (`online_guard.OnlineGuard`), or is absent, for comparison.
 """
 
 import dataclasses
@@ -12,13 +13,15 @@ import numpy as np
 
 from controllers.motion.arm_control import ArmControlConfig, ArmController, Reference
 from controllers.motion.base_motion import level_of
+from controllers.motion.look_ahead import LookAhead, slow
 from controllers.motion.online_guard import OnlineGuard
 from controllers.motion.tip_over import Footing, Guarded, Sweep, guard
 from perception.geometry.checks import check_choice
 from twin.robot import Command, Observation
 
-GUARDS = ("unguarded", "planned", "online")
-"""As requested; slowed as a whole before it begins; slowed tick by tick."""
+GUARDS = ("unguarded", "planned", "ahead", "online")
+"""As requested; slowed as a whole before it begins, by the zero-moment point or by looking ahead;
+slowed tick by tick."""
 HELD, PATIENCE = 1.0, 10.0
 """Longest rest of a swing online, and its greatest delay, until it counts as over [s]."""
 
@@ -33,6 +36,8 @@ class GuardedSwingConfig:
         sweep: Requested swing.
         guard: Kind of guard, one of `GUARDS`.
         wait: Rest in the initial pose before the swing [s].
+        ahead: Looks ahead for the rover, for the guard of that name.
+        seed: Random seed of its copies.
     """
 
     arm: ArmControlConfig
@@ -40,14 +45,18 @@ class GuardedSwingConfig:
     sweep: Sweep
     guard: str = "online"
     wait: float = 0.5
+    ahead: LookAhead | None = None
+    seed: int = 0
 
     def __post_init__(self) -> None:
         """Refuse an unknown guard.
 
         Raises:
-            ValueError: Naming it and the valid ones.
+            ValueError: Naming it and the valid ones, or what the guard lacks.
         """
         check_choice("guard", self.guard, GUARDS)
+        if self.guard == "ahead" and self.ahead is None:
+            raise ValueError("guard 'ahead' needs what looks ahead for the rover")
 
 
 class GuardedSwing:
@@ -80,10 +89,18 @@ class GuardedSwing:
         Args:
             seen: The robot at rest in the initial pose.
         """
-        if self._config.guard == "planned":
-            self._planned = guard(self._config.footing, self._asked, level_of(seen))
-            start = self._asked.start
-            self._sweep = self._planned.sweep or Sweep(start, start, self._asked.duration)
+        config, still = self._config, level_of(seen)
+        match config.guard:
+            case "planned":
+                self._planned = guard(config.footing, self._asked, still)
+            case "ahead":
+                assert config.ahead is not None
+                rng = np.random.default_rng(config.seed)
+                self._planned = slow(config.ahead, self._asked, rng, still)
+            case _:
+                return
+        start = self._asked.start
+        self._sweep = self._planned.sweep or Sweep(start, start, self._asked.duration)
 
     def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
         """Advance the online guard by the tick, and command the arm along the reference."""

@@ -16,6 +16,7 @@ import scipy.signal
 from controllers.kinematics.rigid_motion import LEVEL, WEIGHTLESS, FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.rocking import Chassis, Copies, Moving, rock
+from controllers.motion.tip_over import Guarded, Sweep
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 from perception.geometry.gravity import GRAVITY
@@ -27,6 +28,10 @@ TIPPED = math.radians(10.0)
 """Tilt from the ground's normal from which on a rover counts as tipped over."""
 CENTRE_RANGE = math.radians(30.0)
 """How far the centre joint turns to either side. Assumption, as in the drawing."""
+CHANCE = 0.05
+"""Largest probability to tip over that a guard allows."""
+_SLOWER, _SLOWEST = 1.25, 10.0  # Stretch of a motion from one try to the next, and the last.
+_AFTER = 1.0  # Time for which a base swings on after a motion [s].
 _LAG = 0.05  # Time constant with which the wheels follow their commanded speed [s].
 _SCRUBBING = 0.05  # Turning rate from which on tyres slide [rad/s].
 _LEAST_TURN = 0.2  # Least share of a planned turn: a load at one side hinders it.
@@ -284,6 +289,34 @@ class LookAhead:
         # A motor gives less the faster it turns the way it pushes.
         line = most * (1.0 - np.sign(needed) * plan.rates / speeds)
         return np.any(np.abs(needed) > np.clip(line, 0.0, most), axis=2)
+
+
+def slow(
+    ahead: LookAhead, sweep: Sweep, rng: np.random.Generator, still: FrameMotion = LEVEL
+) -> Guarded:
+    """Slow a motion as a whole until it hardly tips the rover over, with `CHANCE` at most.
+
+    Args:
+        ahead: Looks ahead for the rover.
+        sweep: Requested motion, from rest.
+        rng: Random generator of the copies.
+        still: The base at rest, as its inclinometer has it.
+
+    Returns:
+        The motion as it may be made, without a margin; None for its sweep if no speed will do.
+    """
+    stretch, asked = 1.0, math.nan
+    while stretch <= _SLOWEST:
+        tried = dataclasses.replace(sweep, duration=stretch * sweep.duration)
+        found = ahead.outlook(Plan.of_arm(tried.at, tried.duration + _AFTER), rng, still).tip()
+        if found <= CHANCE:
+            told = (
+                f"tips over with {asked:.0%}: slowed {stretch:.2f} times" if stretch > 1.0 else ""
+            )
+            return Guarded(tried, stretch, math.nan, told)
+        asked = found if stretch == 1.0 else asked
+        stretch *= _SLOWER
+    return Guarded(None, 1.0, math.nan, f"tips over with {asked:.0%}: refused, at no speed it may")
 
 
 def _holding(chain: SerialChain, place: FloatArray) -> SerialChain:

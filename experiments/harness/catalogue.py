@@ -195,7 +195,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="figure A-4, equation A-5",
         module="experiments.appa.tipover.tipover",
         example="--seeds 3",
-        full="1 minute",
+        full="2 minutes",
     ),
     Experiment(
         name="appa-truss",

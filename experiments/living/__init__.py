@@ -1,8 +1,9 @@
-"""``living-twin``: what a twin beside a rover notices, by name, size and delay.
+"""``living-twin``: what a twin beside a rover notices, and what it foresees.
 
 In reading order:
 
 - `happenings`: what happens to a simulated rover.
 - `trial`: one rover, its twin, and one happening.
+- `ahead`: motions that may tip a rover over, and what was foreseen of them.
 - `living_twin`: the experiment.
 """

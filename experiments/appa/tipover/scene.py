@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from controllers.kinematics.rigid_motion import at_rest
 from controllers.kinematics.serial_chain import SerialChain
+from controllers.motion.look_ahead import LookAhead
 from controllers.motion.tip_over import Footing, ground_wrench
 from controllers.motion.tip_over import zero_moment_point as balance
 from experiments.appa.control.plant import PLAIN
@@ -35,6 +36,7 @@ class TipScene:
         model: Compiled scene.
         data: State at rest with the arm folded.
         footing: Model of a guard: the rover by its datasheet, the arm and the load.
+        ahead: What looks ahead for it: likewise, with its locked centre joint.
     """
 
     def __init__(self, load: float, folded: FloatArray, slope: float, downhill: float) -> None:
@@ -55,6 +57,7 @@ class TipScene:
         scene.geom("ground").quat = self._ground.as_quat(scalar_first=True)
         self.model = compile_scene(scene)
         self.footing = footing_of(self.model)
+        self.ahead = LookAhead(describe(self.model, ROBOT), centre_range=0.0)
         self._chassis = self.model.body(f"{ROBOT}/chassis").id
         self.data = self._resting(folded)
         self._now = mujoco.MjData(self.model)

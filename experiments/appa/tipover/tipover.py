@@ -1,7 +1,8 @@
-"""``appa-tipover``: swings of a loaded arm that tip the rover, and two guards (Thesis A.3).
+"""``appa-tipover``: swings of a loaded arm that tip the rover, and three guards (Thesis A.3).
 
 Each motion goes from the folded arm to a drawn reach, on flat ground and on slopes: as asked for,
-as a guard plans it that slows it as a whole before it begins, and as a guard lets it pass online.
+as guards plan it that slow it as a whole before it begins, by the zero-moment point or by looking
+ahead, and as a guard lets it pass online.
 The zero-moment point of eq. A-5 is compared with MuJoCo's centre of pressure all the while.
 """
 
@@ -26,7 +27,8 @@ GUARDED = GUARDS[1:]
 ZMP_BOUND = 1.0
 """Largest distance of the zero-moment point from the centre of pressure [mm]."""
 Shown = Mapping[str, TipRun]
-NAMES = {"unguarded": "as requested", "planned": "planned ahead", "online": "slowed online"}
+NAMES = {"unguarded": "as requested", "planned": "planned ahead",
+         "ahead": "looked ahead", "online": "slowed online"}  # fmt: skip
 Pairs = list[tuple[TipTrial, TipRun]]
 
 
@@ -139,7 +141,7 @@ def draw_footprints(shown: Shown) -> Figure:
     Args:
         shown: Results of `run_tip` by guard.
     """
-    figure = Figure(figsize=(12, 4.6))
+    figure = Figure(figsize=(3.4 * len(shown), 3.9))
     x, y = 1e3 * ROVER.half_track, 1e3 * ROVER.half_wheelbase
     for column, (guard, result) in enumerate(shown.items()):
         axes = figure.add_subplot(1, len(shown), 1 + column)

@@ -87,7 +87,9 @@ def run_tip(trial: TipTrial) -> TipRun:
     # A load near the base's own weight makes the base's feed-forward a loop of gain above one.
     config = arm_config(scene.footing.chain, "pd_gravity", 0.0)
     asked = Sweep(folded, np.array(trial.target), trial.duration)
-    controller = GuardedSwing(GuardedSwingConfig(config, scene.footing, asked, trial.guard, WAIT))
+    controller = GuardedSwing(
+        GuardedSwingConfig(config, scene.footing, asked, trial.guard, WAIT, scene.ahead, trial.seed)
+    )
     controller.plan(robot.observe())
     robot.activate()
     points, pressures, gone = [], [], []

@@ -9,7 +9,7 @@ import pytest
 
 from controllers.kinematics.rigid_motion import at_rest
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.look_ahead import PERIOD, TIPPED, Doubt, LookAhead, Plan
+from controllers.motion.look_ahead import PERIOD, TIPPED, Doubt, LookAhead, Plan, slow
 from controllers.motion.rocking import rock
 from controllers.motion.tip_over import Sweep
 from models.compose import FieldConfig, PayloadConfig, RobotPlacement, build_scene
@@ -174,6 +174,23 @@ def test_chances_grow_with_what_is_not_known():
     assert np.ptp(spread[spread < TIPPED]) > 10.0 * np.ptp(sure.tilts.max(axis=1))
     again = LookAhead(rover).outlook(plan, rng(3)), LookAhead(rover).outlook(plan, rng(3))
     np.testing.assert_array_equal(again[0].tips, again[1].tips)
+
+
+def test_a_swing_is_slowed_until_it_hardly_tips_the_rover_over():
+    rover, load = loaded(0.8), 0.8
+    ahead = LookAhead(rover, friction=(0.5, 0.6))
+    asked = Sweep(HOME, HOME + [1.0, -0.5, 1.2, 0.0], 0.5)
+    found = slow(ahead, asked, np.random.default_rng(1))
+    assert found.stretch > 1.2  # noqa: PLR2004
+    assert found.report == f"tips over with 100%: slowed {found.stretch:.2f} times"
+    plan = Plan.of_arm(found.sweep.at, 3.0)
+    assert np.abs(mujocos(rover, load, plan)[:, :2]).max() < TIPPED
+    slower = dataclasses.replace(asked, duration=5.0)
+    kept = slow(ahead, slower, np.random.default_rng(1))
+    assert (kept.sweep, kept.report) == (slower, "")
+    steep = slow(ahead, slower, np.random.default_rng(1), sideways(-0.9))
+    assert steep.sweep is None
+    assert "refused" in steep.report
 
 
 def test_what_cannot_be_is_refused():

@@ -52,18 +52,23 @@ def test_all_guards_and_slopes_get_the_same_motion():
     flat, steep = motions(1.0, 3, 0.0), motions(1.0, 3, 10.0)
     assert [trial.guard for trial in flat] == list(GUARDS)
     assert len({trial.target for trial in flat + steep}) == 1
-    with pytest.raises(ValueError, match="expected one of unguarded, planned, online"):
+    with pytest.raises(ValueError, match="expected one of unguarded, planned, ahead, online"):
         run_tip(TipTrial(1.0, 0.0, REACH, 0.6, "both", 0))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slope", [0.0, SLOPE])
 def test_guards_keep_up_a_rover_that_its_load_would_tip_and_a_5_is_the_pressure(slope):
-    asked, planned, online = (
+    asked, planned, ahead, online = (
         run_tip(TipTrial(1.0, 0.0, REACH, 0.6, name, 0, slope, FORWARD)) for name in GUARDS
     )
-    assert asked.tipped and not planned.tipped and not online.tipped
+    assert asked.tipped and not (planned.tipped or ahead.tipped or online.tipped)
     assert "slowed" in planned.report and "held" in online.report
+    # At the end of the path on the slope the rover tips over at any speed.
+    if slope:
+        assert "refused" in ahead.report and ahead.part == 0.0
+    else:
+        assert planned.part < ahead.part == 1.0 and ahead.stretch > 1.0
     assert 0.2 < online.part < 0.8
     for result in (planned, online):
         assert result.tilt_deg < 2.0
