@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+import scipy.interpolate
 import scipy.signal
 
 from controllers.kinematics.rigid_motion import LEVEL, WEIGHTLESS, FrameMotion
@@ -71,6 +72,24 @@ class Plan:
         rows = [path(index * PERIOD) for index in range(count)]
         angles, rates, accelerations = (np.array(row) for row in zip(*rows))
         return cls(angles, rates, accelerations, np.zeros(count), np.zeros(count))
+
+    @classmethod
+    def of_table(cls, stamps: FloatArray, angles: FloatArray) -> "Plan":
+        """Return a motion of the arm from rest, and the second after it, while the wheels stand.
+
+        Args:
+            stamps: (n,) times, rising [s].
+            angles: (n, joints) of the arm [rad].
+        """
+        spline = scipy.interpolate.CubicSpline(stamps, angles, bc_type="clamped")
+        first, last = stamps[0], stamps[-1]
+
+        def path(time: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+            if first + time >= last:
+                return angles[-1], np.zeros(angles.shape[1]), np.zeros(angles.shape[1])
+            return spline(first + time), spline(first + time, 1), spline(first + time, 2)
+
+        return cls.of_arm(path, float(last - first) + _AFTER)
 
     @classmethod
     def of_drive(cls, angles: FloatArray, speeds: FloatArray, turns: FloatArray) -> "Plan":

@@ -5,6 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from controllers.motion.base_motion import level_of
+from controllers.motion.look_ahead import LookAhead, Plan
 from controllers.motion.playback import MotionPlayer
 from experiments.harness.contract import ExperimentError
 from experiments.harness.robot_option import check_calibrations
@@ -16,6 +18,7 @@ from twin.description import RobotDescription
 from twin.logs.log import Field
 from twin.logs.writing import LogWriter
 from twin.loop import run as run_loop
+from twin.robot import Robot
 
 LONGEST_WAY = 30.0
 """Time that a motion's start is given to be reached [s]."""
@@ -28,7 +31,8 @@ def run(options: Options) -> int:
         0, or 1 if the motion was not played to its end.
 
     Raises:
-        ExperimentError: If the motion cannot be read, or is none for this arm.
+        ExperimentError: If the motion cannot be read, is none for this arm, or may well tip the
+            rover over.
         RobotError: If the rover fails; it was stopped.
     """
     check_calibrations(options.robot)
@@ -40,6 +44,7 @@ def run(options: Options) -> int:
             stamps, angles = joint_angles(motion, robot.description, robot.name)
         except ValueError as error:
             raise ExperimentError(f"{options.motion}: {error}") from None
+        _look_ahead(robot, Plan.of_table(stamps, angles), options)
         player = MotionPlayer(robot.name, stamps, angles, options.approach)
         duration = float(stamps[-1] - stamps[0])
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
@@ -58,6 +63,23 @@ def run(options: Options) -> int:
         return 1
     print(f"next: log {options.log}, and identify")
     return 0
+
+
+def _look_ahead(robot: Robot, plan: Plan, options: Options) -> None:
+    """Refuse a motion that may well tip the rover over, and tell one that it cannot follow.
+
+    Raises:
+        ExperimentError: Naming the probability.
+    """
+    rng = np.random.default_rng(options.seed or 0)
+    found = LookAhead(robot.description).outlook(plan, rng, level_of(robot.observe()))
+    if found.tip() > options.risk:
+        raise ExperimentError(
+            f"{options.motion}: tips {robot.name} over with {found.tip():.0%}, more than --risk "
+            f"{options.risk:g}; slow it down, or say a larger one"
+        )
+    if found.strain() > 0.5:  # noqa: PLR2004
+        print(f"{options.motion}: faster than the motors of the arm can follow")
 
 
 def joint_angles(

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import tyro
 
+from controllers.motion.look_ahead import CHANCE
 from experiments.harness.contract import OptionError, check_new
 from experiments.harness.robot_option import check_one_rover
 from twin.optics.realism import RealismName
@@ -26,6 +27,7 @@ class Options:
         realism: How far a simulated rover and its sensors are from their drawings: ideal, default
             or harsh (unless said, ideal).
         seed: Seed of a simulated rover as made and of its sensors (unless said, 0).
+        risk: Largest probability to tip the rover over at which it is played; 1 for any.
     """
 
     motion: Annotated[Path, tyro.conf.arg(metavar="FILE")]
@@ -34,6 +36,7 @@ class Options:
     approach: Annotated[float, tyro.conf.arg(metavar="RAD/S")] = 0.5
     realism: RealismName | None = None
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    risk: Annotated[float, tyro.conf.arg(metavar="P")] = CHANCE
 
     def __post_init__(self) -> None:
         """Refuse robots that cannot play it, and what they have no use for.
@@ -46,4 +49,6 @@ class Options:
             raise OptionError(f"--seed: expected 0 or more, got {self.seed}")
         if not self.approach > 0.0:
             raise OptionError(f"--approach: expected above 0 rad/s, got {self.approach:g}")
+        if not 0.0 <= self.risk <= 1.0:
+            raise OptionError(f"--risk: expected 0 to 1, got {self.risk:g}")
         check_new("log", self.log, ".mcap")

@@ -1,6 +1,7 @@
 """``play``, and the whole loop by commands: design, play on boards, log, identify, replay."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -100,3 +101,21 @@ def unseen_error(model):
     assert main(["replay", *words, "--model", model, "--out", "again"]) == 0
     rows = json.loads(Path("again/replay.json").read_text())
     return max(each["rms"] for each in rows if "position" in each["name"])
+
+
+@pytest.mark.parametrize(("seconds", "refused"), [(0.35, True), (0.6, False)])
+def test_a_motion_that_would_tip_the_rover_over_is_refused(tmp_path, capsys, seconds, refused):
+    stamps = np.arange(0.0, 2.0, 0.01)
+    # The arm comes down at the rover's left side, and stops stretched out.
+    part = 0.5 - 0.5 * np.cos(np.pi * np.clip((stamps - 0.2) / seconds, 0.0, 1.0))
+    angles = np.array([1.5, 1.6, -0.2, 0.0]) + part[:, None] * [0.0, -1.5, 0.0, 0.0]
+    write_motion(tmp_path / "motion.csv", ARM, stamps, angles)
+    words = ["play", "--motion", f"{tmp_path}/motion.csv", "--log", f"{tmp_path}/run.mcap"]
+    assert main(words) == (1 if refused else 0)
+    if refused:
+        last = capsys.readouterr().err.strip().splitlines()[-1]
+        assert re.search(r"motion.csv: tips rover1 over with \d+%, more than --risk 0.05", last)
+        assert not (tmp_path / "run.mcap").exists()
+        assert main([*words, "--risk", "1"]) == 0
+    tilts = read_log(tmp_path / "run.mcap").signals["rover1/inclinometer"].values
+    assert (np.abs(tilts - tilts[0]).max() > np.radians(10.0)) == refused
