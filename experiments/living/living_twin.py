@@ -15,6 +15,7 @@ from experiments.harness.intervals import CONFIDENCE, distribution, error_bars, 
 from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from experiments.living.ahead import KINDS, LIKELY, AheadTrial, Foreseen, foresee
+from experiments.living.boards import OnBoards, watch_boards
 from experiments.living.living_twin_options import PARTS, Options
 from experiments.living.trial import LivingTrial, Watched, watch
 
@@ -32,13 +33,15 @@ CELLS = (
 )  # fmt: skip
 """What happens, with its size as of `happenings.happen`; of parts one is chosen at random."""
 QUICK = (("load gripper", 0.2),)
-SECONDS = 12.0, 8.0  # Learning, and unchanged time, of a quick run [s].
+QUICK_PARTS = ("changes", "ahead")
+SECONDS = 12.0, 8.0, 2.0  # Of a quick run: learning, and unchanged, also on boards [s].
 DELAY, RIGHT, COVERED, ALARMS = 3.0, 0.9, 0.9, 1.0  # Bars; the last is of ten hours.
 WITHIN = stats.norm.ppf(0.5 + CONFIDENCE / 2)
 
 
+MISSES = 0.01
 FORESEEN, FALSE_STOPS, TOOK = 0.95, 0.05, 0.5
-"""Bars of looking ahead; the last is the time that it takes in the median [s]."""
+"""Bars on boards and of looking ahead, whose last is the time that it takes in the median [s]."""
 
 
 def run(options: Options, output: Output) -> None:
@@ -49,16 +52,21 @@ def run(options: Options, output: Output) -> None:
         output: Receives ``detection_delay_s``, ``isolation_fraction`` and ``size_coverage95``, also
             by cell, ``false_alarms_per_10h`` and ``surprise``; of looking ahead
             ``tip_foreseen_fraction`` and ``false_stop_fraction``, also by kind of motion, and
-            ``look_ahead_s``.
+            ``look_ahead_s``; on boards ``deadline_miss_fraction`` and ``false_alarms_on_boards``.
     """
-    parts = {"changes": _changes, "ahead": _ahead}
-    for part in options.parts or PARTS:
+    parts = {"changes": _changes, "ahead": _ahead, "boards": _boards}
+    for part in options.parts or (QUICK_PARTS if options.quick else PARTS):
         parts[part](options, output)
+
+
+def _seconds(options: Options) -> tuple[float, float, float]:
+    """Return the time of learning, and of nothing happening in simulation and on boards [s]."""
+    return SECONDS if options.quick else (options.learning, options.unchanged, options.on_boards)
 
 
 def _changes(options: Options, output: Output) -> None:
     """Watch rovers to which each thing happens, and others to which nothing does."""
-    learning, unchanged = SECONDS if options.quick else (options.learning, options.unchanged)
+    learning, unchanged, _ = _seconds(options)
     cells = QUICK if options.quick else CELLS
     seeds = options.job_seeds(30, 1)
     trials = [LivingTrial(seed, name, size, learning) for name, size in cells for seed in seeds]
@@ -68,6 +76,28 @@ def _changes(options: Options, output: Output) -> None:
     _measure_alarms(results, output)
     output.table("watched", *_table(trials, results))
     output.figure("changes", _figure(shares))
+
+
+def _boards(options: Options, output: Output) -> None:
+    """Let a rover work on emulated boards, and count what its twin missed and named."""
+    learning, _, seconds = _seconds(options)
+    (seed,) = options.job_seeds(1, 1)[:1]
+    measure_boards(watch_boards(seed, learning, seconds), output)
+
+
+def measure_boards(result: OnBoards, output: Output) -> None:
+    """Measure a rover on boards.
+
+    Args:
+        result: What its twin did.
+        output: Receives the measures.
+    """
+    output.measure("deadline_miss_fraction", result.late)
+    output.check("ticks missed on boards", result.late, f"<= {MISSES:g}", result.late <= MISSES)
+    output.measure("boards_ticks", result.ticks)
+    count = len(result.alarms)
+    output.measure("false_alarms_on_boards", count)
+    output.check("false alarms on boards", count, "= 0", count == 0)
 
 
 def _ahead(options: Options, output: Output) -> None:

@@ -8,7 +8,7 @@ import tyro
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 
-PARTS = ("changes", "ahead")
+PARTS = ("changes", "ahead", "boards")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -18,11 +18,14 @@ class Options(contract.RepeatedOptions):
     Attributes:
         learning: Time for which each twin only learns its rover [s].
         unchanged: Time for which each rover works to which nothing happens, beside that [s].
-        parts: Which parts to run (unless said, all).
+        on_boards: Time for which a rover on emulated boards works to which nothing happens, beside
+            that and in real time [s].
+        parts: Which parts to run (unless said, all; a quick run leaves out boards).
     """
 
     learning: Annotated[float, tyro.conf.arg(metavar="S")] = 60.0
     unchanged: Annotated[float, tyro.conf.arg(metavar="S")] = 240.0
+    on_boards: Annotated[float, tyro.conf.arg(metavar="S")] = 7200.0
     parts: Annotated[tuple[str, ...], contract.some_of(PARTS)] = ()
 
     def __post_init__(self) -> None:
@@ -32,8 +35,10 @@ class Options(contract.RepeatedOptions):
             OptionError: Naming the option.
         """
         super().__post_init__()
-        for name in ("learning", "unchanged"):
+        for name in ("learning", "unchanged", "on_boards"):
             if not 0.0 < getattr(self, name) < 1e5:  # noqa: PLR2004
-                raise OptionError(f"--{name}: expected above 0 s, got {getattr(self, name):g}")
+                raise OptionError(
+                    f"--{name.replace('_', '-')}: expected above 0 s, got {getattr(self, name):g}"
+                )
         if unknown := set(self.parts) - set(PARTS):
             raise OptionError(f"--parts {min(unknown)}: expected some of {', '.join(PARTS)}")
