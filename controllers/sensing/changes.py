@@ -10,7 +10,8 @@ number: that is how false alarms are bounded over any length of time.
 No model is complete. What it misses of a reading for good is learned as an offset of that reading.
 What it misses for a while is not white: what a reading is off by in one block it is likely to be in
 the next, and so tells less than its variance says. The long-run variance is learned, which counts
-that in; where the latest seconds are rougher than that, they count for less, as in Student's t.
+that in; where the latest seconds are rougher than that, they count for less, as in Student's t. A
+rover that drives is shaken as one that stands is not: what is missed of them is learned apart.
 """
 
 import collections
@@ -26,6 +27,8 @@ from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 
 UNKNOWN = "unknown change"
+KINDS = 2
+"""Kinds of motion whose readings vary apart, as standing and driving."""
 _FLOOR = 1e-3  # Least long-run variance of a reading, over what its sigma says.
 _CLIP = 6.0  # Deviations beyond which a single innovation counts no further: stones, knocks.
 _LEAST = 1e-3  # Least information that counts, in what is known beforehand.
@@ -106,14 +109,16 @@ class ChangeMemory(NamedTuple):
     Attributes:
         mean: (k + n,) deviations and offsets of the readings, in their spreads.
         covariance: (k + n, k + n) their covariance.
-        products: (lags + 1, n) means of what a reading is off by, times what it is some blocks
-            later.
+        products: (KINDS, lags + 1, n) means of what a reading is off by, times what it is some
+            blocks later, by kind of motion.
+        learned: (KINDS,) blocks of which these are the means.
         blocks: Count of blocks that were seen.
     """
 
     mean: FloatArray
     covariance: FloatArray
     products: FloatArray
+    learned: FloatArray
     blocks: int
 
 
@@ -124,11 +129,13 @@ class _Block(NamedTuple):
         ticks: Count of each reading's ticks (n,).
         values: Innovations (n,); 0 where there are none.
         slopes: Sensitivities to deviations and offsets (k + n, n).
+        kind: Kind of motion.
     """
 
     ticks: FloatArray
     values: FloatArray
     slopes: FloatArray
+    kind: int
 
 
 class _Window(NamedTuple):
@@ -180,8 +187,9 @@ class ChangeDetector:
         """Know nothing of a robot with so many readings."""
         count, config = len(self._spreads) + readings, self._config
         self._mean, self._covariance = np.zeros(count), np.eye(count)
-        self._products = np.zeros((config.lags + 1, readings))
-        self._products[0] = 1.0 + 0.25 * config.lags
+        self._products = np.zeros((KINDS, config.lags + 1, readings))
+        self._products[:, 0] = 1.0 + 0.25 * config.lags
+        self._learned = np.zeros(KINDS)
         self._directions = np.hstack([self._changes, np.zeros((len(self.changes), readings))])
         self._pause()
         self._before = 0
@@ -189,8 +197,10 @@ class ChangeDetector:
     def _pause(self) -> None:
         """Begin with another stretch of the robot's motion."""
         self.evidence = np.full(len(self.changes), np.nan)
+        #: What the latest blocks of one kind of motion were off by, and which that is.
         self._left: collections.deque[FloatArray] = collections.deque(maxlen=self._config.lags)
-        self._ticks: list[tuple[FloatArray, FloatArray]] = []
+        self._last = -1
+        self._ticks: list[tuple[FloatArray, FloatArray, int]] = []
         self._recent: collections.deque[_Block] = collections.deque()
         self._seen, self._alarmed = 0, -1
 
@@ -203,7 +213,8 @@ class ChangeDetector:
     def memory(self) -> ChangeMemory:
         """What was learned so far."""
         blocks = self._before + self._seen
-        return ChangeMemory(self._mean, self._covariance, self._products.copy(), blocks)
+        products, learned = self._products.copy(), self._learned.copy()
+        return ChangeMemory(self._mean, self._covariance, products, learned, blocks)
 
     def remember(self, memory: ChangeMemory) -> None:
         """Go on where a detector of the same deviations had come to.
@@ -212,11 +223,12 @@ class ChangeDetector:
             ValueError: If it has others.
         """
         readings = len(memory.mean) - len(self._spreads)
-        if memory.products.shape != (self._config.lags + 1, readings):
+        if memory.products.shape != (KINDS, self._config.lags + 1, readings):
             raise ValueError(f"expected {len(self._spreads)} deviations, got {len(memory.mean)}")
         self._begin(readings)
         self._mean, self._covariance = memory.mean, memory.covariance
-        self._products, self._before = memory.products.copy(), memory.blocks
+        self._products, self._learned = memory.products.copy(), memory.learned.copy()
+        self._before = memory.blocks
 
     @property
     def deviations(self) -> FloatArray:
@@ -238,7 +250,7 @@ class ChangeDetector:
         return float(np.logaddexp.reduce(self.evidence) - np.log(len(self.changes)))
 
     def step(
-        self, values: FloatArray, sigma: FloatArray, sensitivities: FloatArray
+        self, values: FloatArray, sigma: FloatArray, sensitivities: FloatArray, kind: int = 0
     ) -> Finding | None:
         """Take the innovations of a tick.
 
@@ -246,13 +258,13 @@ class ChangeDetector:
             values: (n,) measured less expected; NaN for what was not measured.
             sigma: (n,) standard deviations of the readings.
             sensitivities: (k, n) change of the expected by one unit of each deviation.
+            kind: Kind of motion, below `KINDS`.
 
         Returns:
             A change, once it is named.
         """
-        self._ticks.append(
-            (np.clip(values / sigma, -_CLIP, _CLIP), self._spreads[:, None] * sensitivities / sigma)
-        )
+        clipped = np.clip(values / sigma, -_CLIP, _CLIP)
+        self._ticks.append((clipped, self._spreads[:, None] * sensitivities / sigma, kind))
         if len(self._ticks) < self._config.block:
             return None
         block, self._ticks = _averaged(self._ticks, self._config.offset), []
@@ -283,19 +295,25 @@ class ChangeDetector:
 
     @property
     def _variances(self) -> FloatArray:
-        """(n,) long-run variance of each reading, over what its sigma says."""
-        lags = self._config.lags
+        """(KINDS, n) long-run variance of each reading, over what its sigma says."""
+        lags, own = self._config.lags, self._products[:, 0]
         weights = 2.0 * (1.0 - np.arange(1, lags + 1) / (lags + 1))  # Bartlett's
-        total = self._products[0] + weights @ self._products[1:]
-        return np.maximum(np.maximum(total, self._products[0]), _FLOOR)
+        total = own + np.einsum("l,kln->kn", weights, self._products[:, 1:])
+        return np.maximum(np.maximum(total, own), _FLOOR)
 
     def _learn(self, block: _Block) -> None:
         """Learn the robot from a block that is old enough to be unchanged."""
         config = self._config
+        kind = block.kind
         left = (block.values - self._mean @ block.slopes) * np.sqrt(block.ticks)
-        share = (block.ticks > 0) / min(config.forgetting, 4.0 + self._before + self._seen)
+        self._learned[kind] += 1
+        share = (block.ticks > 0) / min(config.forgetting, 4.0 + self._learned[kind])
+        if kind != self._last:
+            self._left.clear()
+        self._last = kind
+        products = self._products[kind]
         for lag, earlier in enumerate((left, *reversed(self._left))):
-            self._products[lag] += share * (left * earlier - self._products[lag])
+            products[lag] += share * (left * earlier - products[lag])
         self._left.append(left)
         information, score = _weighed([block], self._variances)
         kept = np.exp(-1.0 / config.memory)
@@ -345,7 +363,7 @@ class ChangeDetector:
 
         Args:
             blocks: Blocks of a window.
-            variances: (n,) long-run variances of the readings.
+            variances: (KINDS, n) long-run variances of the readings.
             change: Its number.
 
         Returns:
@@ -356,9 +374,12 @@ class ChangeDetector:
         along = self._directions[change] * _FREELY * self._sizes[change]
         prior = np.linalg.inv(self._before_window + np.outer(along, along))
         mean = self._mean + np.linalg.solve(prior + information, score - information @ self._mean)
-        left = [(each.values - mean @ each.slopes) * np.sqrt(each.ticks) for each in blocks]
-        count = np.sum([each.ticks > 0 for each in blocks], axis=0)
-        return np.sum(np.square(left), axis=0) / np.maximum(self._products[0], _FLOOR), count
+        own = np.maximum(self._products[:, 0], _FLOOR)
+        left = [
+            np.square(each.values - mean @ each.slopes) * each.ticks / own[each.kind]
+            for each in blocks
+        ]
+        return np.sum(left, axis=0), np.sum([each.ticks > 0 for each in blocks], axis=0)
 
     @property
     def _before_window(self) -> FloatArray:
@@ -393,16 +414,16 @@ def _weighed(blocks: Sequence[_Block], variances: FloatArray) -> tuple[FloatArra
     """Return information (k + n, k + n) and score (k + n,) of blocks about what is learned."""
     information, score = 0.0, 0.0
     for block in blocks:
-        weighed = block.slopes * (block.ticks / variances)
+        weighed = block.slopes * (block.ticks / variances[block.kind])
         information = information + weighed @ block.slopes.T
         score = score + weighed @ block.values
     return np.asarray(information), np.asarray(score)
 
 
-def _averaged(ticks: Sequence[tuple[FloatArray, FloatArray]], offset: float) -> _Block:
+def _averaged(ticks: Sequence[tuple[FloatArray, FloatArray, int]], offset: float) -> _Block:
     """Return the means of some ticks, whose sensitivities are those to deviations only."""
-    values = np.array([each for each, _ in ticks])
-    slopes = np.array([each for _, each in ticks])
+    values = np.array([each for each, _, _ in ticks])
+    slopes = np.array([each for _, each, _ in ticks])
     there = np.isfinite(values)
     count = there.sum(axis=0).astype(float)
     over = np.maximum(count, 1.0)
@@ -411,4 +432,6 @@ def _averaged(ticks: Sequence[tuple[FloatArray, FloatArray]], offset: float) -> 
         count,
         np.where(there, values, 0.0).sum(axis=0) / over,
         np.vstack([mean, np.diag(np.where(count > 0, offset, 0.0))]),
+        # A block in which the rover drives at all is shaken.
+        max(kind for _, _, kind in ticks),
     )

@@ -17,6 +17,9 @@ from twin.servo import SERVO_PERIOD
 from twin.shadow.deviations import Deviation, rover_deviations, shadow_scene
 from twin.shadow.shadow import Shadow, ShadowConfig
 
+DRIVING = 0.2
+"""Wheel speed above which a rover drives [rad/s]."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Block:
@@ -143,7 +146,9 @@ class TwinBeside:
             self._detector.pause()
             self._squares.clear()
             return
-        found = self._detector.step(innovation.values, innovation.sigma, innovation.sensitivities)
+        found = self._detector.step(
+            innovation.values, innovation.sigma, innovation.sensitivities, _drives(tick)
+        )
         self._squares.append(np.square(innovation.values / innovation.sigma))
         time = self._begin + innovation.time
         if len(self._squares) == self._config.block:
@@ -198,6 +203,12 @@ def changes_of(deviations: Sequence[Deviation]) -> list[Change]:
     ]
     supply = np.array([float(each.name.startswith("supply")) for each in deviations])
     return [*single, Change("battery", "1", supply, 0.3, 1)]
+
+
+def _drives(tick: RoverTick) -> int:
+    """Return the kind of motion: 1 for a rover whose wheels turn."""
+    speeds = tick.seen.wheel_speeds
+    return int(speeds.usable and np.abs(np.asarray(speeds.value, dtype=float)).max() > DRIVING)
 
 
 def _rms(squares: FloatArray) -> float:

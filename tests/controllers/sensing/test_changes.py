@@ -82,15 +82,17 @@ def test_ratio_is_that_of_the_likelihoods_integrated_over_the_size(offset):
     changes = [dataclasses.replace(each, sign=sign) for sign in (0, 1, -1) for each in CHANGES]
     config = dataclasses.replace(CONFIG, learning=10**6, offset=offset)
     detector = ChangeDetector(SPREADS, changes, config)
-    for values, slopes in innovations(rng, 200, lambda tick: np.zeros(3)):
-        detector.step(values, SIGMA, slopes)
+    for tick, (values, slopes) in enumerate(innovations(rng, 200, lambda tick: np.zeros(3))):
+        kind = tick // CONFIG.block % 2
+        detector.step((1.0 + kind) * values, SIGMA, slopes, kind)
     blocks = list(detector._recent)[-4:]
+    assert {block.kind for block in blocks} == {0, 1}
     ratios = detector._compare(blocks).ratios
     # By brute force: all block means as one Gaussian vector, whose mean the change moves.
     variances = detector._variances
     slopes = np.vstack([block.slopes.T for block in blocks])
     values = np.concatenate([block.values for block in blocks])
-    noise = np.concatenate([variances / block.ticks for block in blocks])
+    noise = np.concatenate([variances[block.kind] / block.ticks for block in blocks])
     known = detector._covariance
     covariance = np.diag(noise) + slopes @ known @ slopes.T
     off = values - slopes @ detector._mean
@@ -202,8 +204,38 @@ def test_what_a_reading_is_off_by_for_a_while_counts_by_its_long_run_variance():
     # By brute force: sums over times that are long beside those for which it lasts.
     sums = noise.reshape(-1, 800, READINGS).sum(axis=1)
     expected = np.mean(sums**2) / 800
-    assert np.mean(detector._variances) == pytest.approx(expected, rel=0.35)
+    assert np.mean(detector._variances[0]) == pytest.approx(expected, rel=0.35)
     assert expected > 10.0 * np.mean(noise**2)
+
+
+def shaken(told, change, seed):
+    """Ticks from a change until one is named, on a robot that is shaken 5 of 10 s; NaN for never.
+
+    It comes as the robot stands; `told` says whether the detector knows when that is.
+    """
+    rng = np.random.default_rng([12, seed])
+    ticks, begins = 5_450, 5_050
+    config = dataclasses.replace(ROBUST, learning=200, between=1e6)
+    detector = ChangeDetector(SPREADS, CHANGES, config)
+    off = np.repeat(rng.normal(0.0, 2.0, (ticks // 20 + 1, READINGS)), 20, axis=0)
+
+    def deviations(tick):
+        return np.array([change if tick >= begins else 0.0, 0.0, 0.0])
+
+    for tick, (values, slopes) in enumerate(innovations(rng, ticks, deviations)):
+        kind = tick // 500 % 2
+        seen = values + kind * off[tick] * SIGMA
+        if detector.step(seen, SIGMA, slopes, kind if told else 0) is not None:
+            return tick - begins
+    return np.nan
+
+
+def test_what_shakes_a_rover_that_drives_hides_no_change_while_it_stands():
+    unchanged = [shaken(True, 0.0, seed) for seed in range(4)]
+    assert np.isnan(unchanged).all()
+    told = [shaken(True, 1.5, seed) for seed in range(4)]
+    untold = [shaken(False, 1.5, seed) for seed in range(4)]
+    assert max(told) < min(untold)
 
 
 def test_what_a_reading_is_off_by_for_good_is_learned_beside_the_deviations():

@@ -187,7 +187,7 @@ def test_options_that_do_not_go_together_are_refused(words, message):
 
 
 def memory(count=3):
-    learned = ChangeMemory(np.arange(float(count)), np.eye(count), np.ones(5), 90)
+    learned = ChangeMemory(np.arange(float(count)), np.eye(count), np.ones(5), np.ones(2), 90)
     return TwinMemory(tuple("abc"[:count]), np.full(count, 0.5), learned)
 
 
