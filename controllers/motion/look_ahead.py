@@ -206,9 +206,7 @@ class LookAhead:
         mount = np.asarray(self._chain.transform_base_to_robot.translation)
         self._mount = mount + self._centre
 
-    def outlook(
-        self, plan: Plan, rng: np.random.Generator, still: FrameMotion = LEVEL
-    ) -> Outlook:  # fmt: skip
+    def outlook(self, plan: Plan, rng: np.random.Generator, still: FrameMotion = LEVEL) -> Outlook:
         """Return what a plan may lead to.
 
         Args:
