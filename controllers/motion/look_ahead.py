@@ -1,9 +1,10 @@
 """What a planned motion may lead to: an ensemble of rovers that differ as the real one may.
 
 Each copy has masses, centres, springs, tyres and a slope as likely as what is known of them, and
-does what is planned in a reduced model (`rocking`). The share of copies that tip over, slide or ask
-too much of a motor is the probability that the rover will. A guard that asks whether the
-zero-moment point leaves the footprint (`tip_over`) is stricter: a rover may rock and come back.
+does what is planned in a reduced model (`rocking`). The share of copies that tip over, slide, touch
+the ground with the arm or ask too much of a motor is the probability that the rover will. A guard
+that asks whether the zero-moment point leaves the footprint (`tip_over`) is stricter: a rover may
+rock and come back.
 """
 
 import dataclasses
@@ -13,6 +14,7 @@ from collections.abc import Callable
 import numpy as np
 import scipy.interpolate
 import scipy.signal
+from numpy.typing import NDArray
 
 from controllers.kinematics.rigid_motion import LEVEL, WEIGHTLESS, FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
@@ -142,12 +144,15 @@ class Outlook:
         tips: (n,) time at which each has tipped over [s]; infinite for never.
         slides: (n,) time from which each would need more friction than there is [s], likewise.
         strains: (n,) time from which each would need more than the arm's motors give [s], likewise.
+        touches: (n,) time at which a sphere that covers the arm of each reaches the ground [s],
+            likewise.
         tilts: (n, times) tilt of each from the ground's normal [rad].
     """
 
     tips: FloatArray
     slides: FloatArray
     strains: FloatArray
+    touches: FloatArray
     tilts: FloatArray
 
     def tip(self, within: float = math.inf) -> float:
@@ -162,12 +167,17 @@ class Outlook:
         """Return the probability that a motor of the arm cannot follow within a time [s]."""
         return float(np.mean(self.strains < within))
 
+    def touch(self, within: float = math.inf) -> float:
+        """Return the probability that the arm touches the ground within a time [s]."""
+        return float(np.mean(self.touches < within))
+
 
 class LookAhead:
     """Looks ahead for one rover.
 
     Args:
-        robot: The rover as drawn, with four wheels and an arm.
+        robot: The rover as drawn, with an arm, and four wheels on springs: front left and right,
+            rear left and right.
         load: Mass in the gripper that the drawing does not have [kg].
         place: (3,) its centre in the frame of the last link [m].
         friction: Least and largest Coulomb coefficient that its tyres may well have.
@@ -176,7 +186,7 @@ class LookAhead:
         centre_range: How far its centre joint turns to either side [rad]; 0 if it is locked.
 
     Raises:
-        ValueError: If the rover has no arm, or not four wheels.
+        ValueError: If the rover has no arm, or not four wheels on springs.
     """
 
     def __init__(
@@ -189,13 +199,16 @@ class LookAhead:
         copies: int = 50,
         centre_range: float = CENTRE_RANGE,
     ) -> None:
-        if len(robot.wheels) != 4:  # noqa: PLR2004
-            raise ValueError(f"{robot.name} has {len(robot.wheels)} wheels: looking ahead needs 4")
+        springs = np.array([wheel.spring for wheel in robot.wheels])
+        if len(springs) != 4 or not np.isfinite(springs).all():  # noqa: PLR2004
+            raise ValueError(
+                f"{robot.name} has {np.isfinite(springs).sum()} wheels on springs: looking ahead "
+                "needs 4"
+            )
         self._robot, self._load, self._friction = robot, load, friction
         self._doubt, self._count = doubt or Doubt(), copies
         self._chain = SerialChain.of_robot(robot)
         self._held = _holding(self._chain, np.zeros(3) if place is None else place)
-        springs = np.array([wheel.spring for wheel in robot.wheels])
         self._chassis = Chassis(
             np.array([wheel.centre[:2] for wheel in robot.wheels]),
             np.full(4, robot.body.mass * GRAVITY / springs.sum()),
@@ -222,7 +235,9 @@ class LookAhead:
         across = np.linalg.norm(forces[:, :, :2], axis=2)
         slipping = across > copies.grips[:, None] * forces[:, :, 2]
         strained = self._strained(plan, copies, still)
-        return Outlook(_first(over), _first(slipping & ~over), _first(strained), tilts)
+        touching = self._touching(plan, places) & ~over
+        slides = _first(slipping & ~over)
+        return Outlook(_first(over), slides, _first(strained), _first(touching), tilts)
 
     def _copies(self, rng: np.random.Generator, up: FloatArray) -> Copies:
         """Return copies as likely as what is known."""
@@ -295,7 +310,16 @@ class LookAhead:
         elements = [about[:, row, column] for row, column in pairs]
         return np.column_stack([mass, moment, *elements, *wrenches])
 
-    def _strained(self, plan: Plan, copies: Copies, still: FrameMotion) -> FloatArray:
+    def _touching(self, plan: Plan, places: FloatArray) -> NDArray[np.bool_]:
+        """Return (n, times) whether the arm of a copy is close to the ground."""
+        points = self._chain.cover_points(plan.angles) + self._centre
+        heave, pitch, roll = np.moveaxis(places[:, :, None, :3], -1, 0)
+        x, y, z = np.moveaxis(points, -1, 0)
+        # The front half's pitch and roll, of the ground's axes.
+        height = heave + np.sin(pitch) * y + np.cos(pitch) * (np.cos(roll) * z - np.sin(roll) * x)
+        return height.min(axis=2) < self._chain.cover_radius
+
+    def _strained(self, plan: Plan, copies: Copies, still: FrameMotion) -> NDArray[np.bool_]:
         """Return (n, times) whether a copy needs more than a motor gives."""
         given = plan.angles, plan.rates, plan.accelerations
         own, held = (each.inverse_dynamics(*given, still)[0] for each in (self._chain, self._held))
@@ -352,6 +376,6 @@ def _followed(commanded: FloatArray) -> FloatArray:
     return np.asarray(scipy.signal.lfilter([share], [1.0, share - 1.0], commanded))
 
 
-def _first(happens: FloatArray) -> FloatArray:
+def _first(happens: NDArray[np.bool_]) -> FloatArray:
     """Return the times (n,) at which something happens first [s], infinite for never."""
     return np.where(happens.any(axis=1), np.argmax(happens, axis=1) * PERIOD, math.inf)

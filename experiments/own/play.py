@@ -32,7 +32,7 @@ def run(options: Options) -> int:
 
     Raises:
         ExperimentError: If the motion cannot be read, is none for this arm, or may well tip the
-            rover over.
+            rover over or touch the ground.
         RobotError: If the rover fails; it was stopped.
     """
     check_calibrations(options.robot)
@@ -73,11 +73,15 @@ def _look_ahead(robot: Robot, plan: Plan, options: Options) -> None:
     """
     rng = np.random.default_rng(options.seed or 0)
     found = LookAhead(robot.description).outlook(plan, rng, level_of(robot.observe()))
-    if found.tip() > options.risk:
-        raise ExperimentError(
-            f"{options.motion}: tips {robot.name} over with {found.tip():.0%}, more than --risk "
-            f"{options.risk:g}; slow it down, or say a larger one"
-        )
+    for chance, what in (
+        (found.tip(), f"tips {robot.name} over"),
+        (found.touch(), f"brings the arm of {robot.name} to the ground"),
+    ):
+        if chance > options.risk:
+            raise ExperimentError(
+                f"{options.motion}: {what} with {chance:.0%}, more than --risk {options.risk:g}; "
+                "change it, or say a larger one"
+            )
     if found.strain() > 0.5:  # noqa: PLR2004
         print(f"{options.motion}: faster than the motors of the arm can follow")
 

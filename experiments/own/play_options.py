@@ -27,7 +27,8 @@ class Options:
         realism: How far a simulated rover and its sensors are from their drawings: ideal, default
             or harsh (unless said, ideal).
         seed: Seed of a simulated rover as made and of its sensors (unless said, 0).
-        risk: Largest probability to tip the rover over at which it is played; 1 for any.
+        risk: Largest probability to tip the rover over, or to touch the ground, at which it is
+            played; 1 for any.
     """
 
     motion: Annotated[Path, tyro.conf.arg(metavar="FILE")]

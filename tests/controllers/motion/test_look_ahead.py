@@ -164,6 +164,32 @@ def test_a_load_that_a_joint_cannot_hold_strains_it():
         assert ahead.outlook(resting(out), np.random.default_rng(0)).strain() == strained
 
 
+def test_an_arm_that_comes_down_touches_the_ground_when_its_lowest_point_does():
+    ahead = LookAhead(DRAWN, doubt=SURE, copies=1)
+    path = Sweep(HOME, HOME + [0.3, -1.4, 0.6, 0.0], 2.0)
+    plan = Plan.of_arm(path.at, 2.0)
+    found = ahead.outlook(plan, np.random.default_rng(0))
+    # By MuJoCo: the first contact of anything but tyres with the ground.
+    model = build_scene(
+        FieldConfig(texture_pixels=16), [RobotPlacement(ROBOT, stereo=False)]
+    ).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    places = [model.joint(f"{ROBOT}/{name}_joint").qposadr[0] for name in DRAWN.joint_names]
+    tyres = {model.geom(f"{ROBOT}/{name}_tyre").id for name in DRAWN.wheel_names}
+    touching = math.inf
+    for index, angles in enumerate(plan.angles):
+        data.qpos[places] = angles
+        mujoco.mj_forward(model, data)
+        grounds = [contact for contact in data.contact if 0 in model.geom_bodyid[contact.geom]]
+        if any(not tyres & set(contact.geom.tolist()) for contact in grounds):
+            touching = index * PERIOD
+            break
+    # The spheres reach beyond what they cover by some 2 cm.
+    assert touching - 0.15 < found.touches[0] < touching < math.inf
+    assert ahead.outlook(resting(HOME), np.random.default_rng(0)).touch() == 0.0
+
+
 def test_chances_grow_with_what_is_not_known():
     plan = Plan.of_arm(Sweep(HOME, HOME + [1.0, -0.5, 1.2, 0.0], 0.75).at, 2.0)
     rng = np.random.default_rng
@@ -196,7 +222,7 @@ def test_a_swing_is_slowed_until_it_hardly_tips_the_rover_over():
 def test_what_cannot_be_is_refused():
     with pytest.raises(ValueError, match="no arm"):
         LookAhead(describe_rover(ROBOT, arm=False))
-    with pytest.raises(ValueError, match="has 3 wheels: looking ahead needs 4"):
+    with pytest.raises(ValueError, match="has 3 wheels on springs: looking ahead needs 4"):
         LookAhead(dataclasses.replace(DRAWN, wheels=DRAWN.wheels[:3]))
     with pytest.raises(ValueError, match=r"doubt spring = -0.1: expected 0 or a positive number"):
         Doubt(spring=-0.1)

@@ -51,7 +51,7 @@ def test_what_is_foreseen_does_not_change_what_comes(monkeypatch):
     def nothing(self, plan, rng, still):
         asked.append(plan)
         never = np.full(50, math.inf)
-        return Outlook(never, never, never, np.zeros((50, 1)))
+        return Outlook(never, never, never, never, np.zeros((50, 1)))
 
     seen = foresee(trial)
     monkeypatch.setattr(LookAhead, "outlook", nothing)

@@ -103,6 +103,17 @@ def unseen_error(model):
     return max(each["rms"] for each in rows if "position" in each["name"])
 
 
+def test_a_motion_to_the_ground_is_refused(tmp_path, capsys):
+    stamps = np.arange(0.0, 3.0, 0.01)
+    part = 0.5 - 0.5 * np.cos(np.pi * stamps / stamps[-1])
+    angles = HOME + part[:, None] * [0.0, -1.2, 0.8, 0.0]
+    write_motion(tmp_path / "motion.csv", ARM, stamps, angles)
+    words = ["play", "--motion", f"{tmp_path}/motion.csv", "--log", f"{tmp_path}/run.mcap"]
+    assert main(words) == 1
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "brings the arm of rover1 to the ground with 100%, more than --risk 0.05" in last
+
+
 @pytest.mark.parametrize(("seconds", "refused"), [(0.35, True), (0.6, False)])
 def test_a_motion_that_would_tip_the_rover_over_is_refused(tmp_path, capsys, seconds, refused):
     stamps = np.arange(0.0, 2.0, 0.01)
