@@ -19,7 +19,7 @@ from controllers.mapping.searching import TargetSearch
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.stereo_view import MapperConfig, StereoView
 from controllers.motion.arm_move import ArmMove
-from controllers.motion.tip_over import Footing
+from controllers.motion.tipping.tip_over import Footing
 from perception.geometry.arrays import BoolArray, FloatArray, IndexArray
 from perception.registration.target import possible_markers
 from perception.stereo.matching import StereoMatcher

@@ -30,7 +30,7 @@ from controllers.mapping.shared_map import SharedMap, within
 from controllers.mapping.visual_odometry import VisualOdometry, levelled
 from controllers.motion.drive_path import DrivePath, DrivePathConfig
 from controllers.motion.driving import SkidSteer
-from controllers.motion.tip_over import Footing
+from controllers.motion.tipping.tip_over import Footing
 from perception.elevation.alignment import aligned
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.map import ElevationMap

@@ -6,9 +6,7 @@
 - `base_tilt`: tilt of the base on its springs under the arm.
 - `lagrange`: the nine coordinates of rover and arm, and their state space (eqs A-2, A-3).
 - `arm_control`: control of the arm on its yielding base (eq. A-4).
-- `tip_over`, `online_guard`: zero-moment point and guards against tipping (eq. A-5).
-- `look_ahead`, `rocking`: how likely a planned motion tips the rover over, or lets it slide.
-- `guarded_swing`: a swing of the arm under one of these guards, or under none.
+- `tipping`: zero-moment point, guards against tipping over (eq. A-5), and looking ahead.
 - `teleoperation`: a person who drives the rover and moves its arm.
 - `simple_motions`: motions of all axes that exercise loop, boards and sensors, and work at random.
 """

@@ -2,7 +2,8 @@
 
 With a footing, a move that would bring the zero-moment point near the edge of the footprint, at the
 tilt that the rover has as it begins, is slowed as a whole, or cut short where the arm could not
-rest. That takes 3 ms for each move; `online_guard` takes 0.4 ms in each tick, 0.04 s a second.
+rest. That takes 3 ms for each move; `tipping.online_guard` takes 0.4 ms in each tick, 0.04 s a
+second.
 """
 
 import dataclasses
@@ -11,7 +12,7 @@ import math
 import numpy as np
 
 from controllers.motion.base_motion import level_of
-from controllers.motion.tip_over import Footing, SteadySweep, Sweep, guard
+from controllers.motion.tipping.tip_over import Footing, SteadySweep, Sweep, guard
 from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation, WheelMode
 

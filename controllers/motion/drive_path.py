@@ -5,7 +5,7 @@ the circle to a point of the path a look-ahead distance away. Regulated (Macensk
 "Regulated pure pursuit for robot path tracking"), the look-ahead grows with the speed, and the
 speed falls with the curvature and towards the end.
 
-The guards against tipping over (`tip_over`, `online_guard`) slow motions of the joints, in which
+The guards against tipping over (`tipping`) slow motions of the joints, in which
 wheels have no part: here the measured tilt bounds the speed.
 """
 

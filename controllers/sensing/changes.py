@@ -16,11 +16,12 @@ rover that drives is shaken as one that stands is not: what is missed of them is
 
 import collections
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import scipy.special
+from numpy.typing import NDArray
 
 from controllers.sensing.diagnosis import Finding
 from perception.geometry.arrays import FloatArray
@@ -61,7 +62,7 @@ class ChangeConfig:
     """How changes are found.
 
     Attributes:
-        block: Ticks that are summed before they are looked at.
+        block: Ticks that are summed before they are looked at; more than there are windows.
         windows: Blocks since when a change is looked for; the last are the most.
         learning: Blocks for which the robot is only learned.
         settling: Blocks at first that are left out.
@@ -101,6 +102,11 @@ class ChangeConfig:
         check_numbers("changes", self, "lags", "freedom", zero=True)
         if not self.windows or min(self.windows) < 1:
             raise ValueError(f"changes windows = {self.windows}: expected counts of blocks above 0")
+        if self.block <= len(self.windows):
+            raise ValueError(
+                f"changes block = {self.block}: expected more ticks than the {len(self.windows)} "
+                "windows"
+            )
 
 
 class ChangeMemory(NamedTuple):
@@ -122,20 +128,52 @@ class ChangeMemory(NamedTuple):
     blocks: int
 
 
-class _Block(NamedTuple):
-    """Means over the ticks of a block, in deviations of the readings' noise.
+class _Blocks(NamedTuple):
+    """Means over the ticks of m blocks, in deviations of the readings' noise.
 
     Attributes:
-        ticks: Count of each reading's ticks (n,).
-        values: Innovations (n,); 0 where there are none.
-        slopes: Sensitivities to deviations and offsets (k + n, n).
-        kind: Kind of motion.
+        ticks: (m, n) count of each reading's ticks.
+        values: (m, n) innovations; 0 where there are none.
+        slopes: (m, k, n) sensitivities to deviations.
+        offsets: (m, n) sensitivities to the reading's own offset.
+        kinds: (m,) kinds of motion.
     """
 
     ticks: FloatArray
     values: FloatArray
     slopes: FloatArray
-    kind: int
+    offsets: FloatArray
+    kinds: NDArray[np.intp]
+
+    def last(self, count: int) -> "_Blocks":
+        """Return the latest of them."""
+        ticks, values, slopes, offsets, kinds = self
+        return _Blocks(
+            ticks[-count:], values[-count:], slopes[-count:], offsets[-count:], kinds[-count:]
+        )
+
+    def expected(self, mean: FloatArray) -> FloatArray:
+        """Return the innovations (m, n) by deviations and offsets (k + n,)."""
+        count = self.slopes.shape[1]
+        return mean[:count] @ self.slopes + mean[count:] * self.offsets
+
+    def weighed(self, variances: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return information (k + n, k + n) and score (k + n,) about what is learned.
+
+        Args:
+            variances: (KINDS, n) long-run variances of the readings.
+        """
+        weights = self.ticks / variances[self.kinds]
+        sloped, offset = self.slopes * weights[:, None], self.offsets * weights
+        between = np.einsum("mkn,mn->kn", sloped, self.offsets)
+        information = np.block(
+            [
+                [np.tensordot(sloped, self.slopes, ((0, 2), (0, 2))), between],
+                [between.T, np.diag(np.einsum("mn,mn->n", offset, self.offsets))],
+            ]
+        )
+        told = np.einsum("mkn,mn->k", sloped, self.values)
+        return information, np.concatenate([told, np.einsum("mn,mn->n", offset, self.values)])
 
 
 class _Window(NamedTuple):
@@ -201,7 +239,8 @@ class ChangeDetector:
         self._left: collections.deque[FloatArray] = collections.deque(maxlen=self._config.lags)
         self._last = -1
         self._ticks: list[tuple[FloatArray, FloatArray, int]] = []
-        self._recent: collections.deque[_Block] = collections.deque()
+        self._recent: collections.deque[_Blocks] = collections.deque()
+        self._looking: Iterator[Finding | None] = iter(())
         self._seen, self._alarmed = 0, -1
 
     def pause(self) -> None:
@@ -261,12 +300,14 @@ class ChangeDetector:
             kind: Kind of motion, below `KINDS`.
 
         Returns:
-            A change, once it is named.
+            A change, once it is named: some ticks after the block that shows it, as each tick looks
+            at one window only.
         """
+        finding = next(self._looking, None)
         clipped = np.clip(values / sigma, -_CLIP, _CLIP)
         self._ticks.append((clipped, self._spreads[:, None] * sensitivities / sigma, kind))
-        if len(self._ticks) < self._config.block:
-            return None
+        if len(self._ticks) < self._config.block or finding is not None:
+            return finding
         block, self._ticks = _averaged(self._ticks, self._config.offset), []
         if self._seen == 0 and self._before == 0:
             self._begin(len(values))
@@ -276,9 +317,9 @@ class ChangeDetector:
         self._recent.append(block)
         if len(self._recent) > max(self._config.windows):
             self._learn(self._recent.popleft())
-        if self._before + self._seen < self._config.learning:
-            return None
-        return self._look()
+        if self._before + self._seen >= self._config.learning:
+            self._looking = self._look()
+        return None
 
     def accept(self, change: Change, finding: Finding) -> None:
         """Go on with a twin that has a change, and learn for a while.
@@ -301,13 +342,12 @@ class ChangeDetector:
         total = own + np.einsum("l,kln->kn", weights, self._products[:, 1:])
         return np.maximum(np.maximum(total, own), _FLOOR)
 
-    def _learn(self, block: _Block) -> None:
+    def _learn(self, block: _Blocks) -> None:
         """Learn the robot from a block that is old enough to be unchanged."""
-        config = self._config
-        kind = block.kind
-        left = (block.values - self._mean @ block.slopes) * np.sqrt(block.ticks)
+        config, kind = self._config, int(block.kinds[0])
+        left = ((block.values - block.expected(self._mean)) * np.sqrt(block.ticks))[0]
         self._learned[kind] += 1
-        share = (block.ticks > 0) / min(config.forgetting, 4.0 + self._learned[kind])
+        share = (block.ticks[0] > 0) / min(config.forgetting, 4.0 + self._learned[kind])
         if kind != self._last:
             self._left.clear()
         self._last = kind
@@ -315,26 +355,30 @@ class ChangeDetector:
         for lag, earlier in enumerate((left, *reversed(self._left))):
             products[lag] += share * (left * earlier - products[lag])
         self._left.append(left)
-        information, score = _weighed([block], self._variances)
+        information, score = block.weighed(self._variances)
         kept = np.exp(-1.0 / config.memory)
         mean = kept * self._mean
         prior = kept**2 * self._covariance + (1.0 - kept**2) * np.eye(len(mean))
         self._covariance = np.linalg.inv(np.linalg.inv(prior) + information)
         self._mean = mean + self._covariance @ (score - information @ mean)
 
-    def _look(self) -> Finding | None:
-        """Look for changes in the latest blocks."""
-        recent, config = list(self._recent), self._config
-        found = [self._compare(recent[-count:]) for count in config.windows if count <= len(recent)]
+    def _look(self) -> Iterator[Finding | None]:
+        """Look for changes in the latest blocks, at one window for each item."""
+        config, blocks = self._config, _joined(self._recent)
+        spared = np.asarray(np.linalg.inv(self._before_window), dtype=float)
+        found: list[_Window] = []
+        for count in config.windows:
+            if count <= len(blocks.kinds):
+                found.append(self._compare(blocks.last(count), spared))
+                yield None
         if not found:
-            return None
+            return
         ratios = [window.ratios for window in found]
         self.evidence = np.logaddexp.reduce(ratios, axis=0) - np.log(len(ratios))
         if self._alarmed < 0 and self.odds > np.log(config.between):
             self._alarmed = self._seen
-        if self._alarmed < 0 or self._seen < self._alarmed + config.confirming:
-            return None
-        return self._named(found)
+        if self._alarmed >= 0 and self._seen >= self._alarmed + config.confirming:
+            yield self._named(found)
 
     def _named(self, windows: Sequence[_Window]) -> Finding:
         """Return the likeliest change, as the window shows it in which it is likeliest."""
@@ -345,41 +389,45 @@ class ChangeDetector:
         name = UNKNOWN if window.misfit > _STRANGE else self.changes[best].name
         return Finding(name, size, sigma, abs(size / sigma))
 
-    def _compare(self, blocks: Sequence[_Block]) -> _Window:
-        """Return what the latest blocks say of each change."""
+    def _compare(self, blocks: _Blocks, spared: FloatArray) -> _Window:
+        """Return what the latest blocks say of each change.
+
+        Args:
+            blocks: Blocks of a window.
+            spared: Inverse of the covariance before it.
+        """
         variances = self._variances
-        window = self._weigh(blocks, variances)
-        squares, count = self._left_by(blocks, variances, int(np.argmax(window.ratios)))
+        told = blocks.weighed(variances)
+        window = self._weigh(*told, spared)
+        squares, count = self._left_by(blocks, *told, int(np.argmax(window.ratios)))
         freedom = self._config.freedom
         rough = (freedom + squares) / (freedom + count)
         rough = np.clip(rough, 1.0, _ROUGHEST)
         misfit = float(squares.sum() / count.sum())
-        return self._weigh(blocks, variances * rough)._replace(misfit=misfit)
+        window = self._weigh(*blocks.weighed(variances * rough), spared)
+        return window._replace(misfit=misfit)
 
     def _left_by(
-        self, blocks: Sequence[_Block], variances: FloatArray, change: int
+        self, blocks: _Blocks, information: FloatArray, score: FloatArray, change: int
     ) -> tuple[FloatArray, FloatArray]:
         """Return what a change leaves unexplained.
 
         Args:
             blocks: Blocks of a window.
-            variances: (KINDS, n) long-run variances of the readings.
+            information: (k + n, k + n) what they tell.
+            score: (k + n,) likewise.
             change: Its number.
 
         Returns:
             (n,) sums of the squares of what each reading is off by still, over their variance, and
             (n,) count of these.
         """
-        information, score = _weighed(blocks, variances)
         along = self._directions[change] * _FREELY * self._sizes[change]
         prior = np.linalg.inv(self._before_window + np.outer(along, along))
         mean = self._mean + np.linalg.solve(prior + information, score - information @ self._mean)
-        own = np.maximum(self._products[:, 0], _FLOOR)
-        left = [
-            np.square(each.values - mean @ each.slopes) * each.ticks / own[each.kind]
-            for each in blocks
-        ]
-        return np.sum(left, axis=0), np.sum([each.ticks > 0 for each in blocks], axis=0)
+        own = np.maximum(self._products[:, 0], _FLOOR)[blocks.kinds]
+        left = np.square(blocks.values - blocks.expected(mean)) * blocks.ticks / own
+        return left.sum(axis=0), (blocks.ticks > 0).sum(axis=0)
 
     @property
     def _before_window(self) -> FloatArray:
@@ -388,12 +436,10 @@ class ChangeDetector:
         walk[: len(self._spreads)] = self._config.walk
         return self._covariance + np.diag(walk**2)
 
-    def _weigh(self, blocks: Sequence[_Block], variances: FloatArray) -> _Window:
-        """Return what some blocks say of each change, with given variances of the readings."""
-        information, score = _weighed(blocks, variances)
+    def _weigh(self, information: FloatArray, score: FloatArray, spared: FloatArray) -> _Window:
+        """Return what a window says of each change, by what it tells, as `_compare` has it."""
         score = score - information @ self._mean
-        # What a window tells of the deviations, beside how far off they may be before it.
-        spared = np.linalg.inv(self._before_window)
+        # What it tells of the deviations, beside how far off they may be before it.
         left = np.linalg.solve(information + spared, np.column_stack([information, score]))
         told = information - information @ left[:, :-1]
         pull = score - information @ left[:, -1]
@@ -410,28 +456,24 @@ class ChangeDetector:
         return _Window(ratios, sizes, precision**-0.5, 0.0)
 
 
-def _weighed(blocks: Sequence[_Block], variances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return information (k + n, k + n) and score (k + n,) of blocks about what is learned."""
-    information, score = 0.0, 0.0
-    for block in blocks:
-        weighed = block.slopes * (block.ticks / variances[block.kind])
-        information = information + weighed @ block.slopes.T
-        score = score + weighed @ block.values
-    return np.asarray(information), np.asarray(score)
+def _joined(blocks: Iterable[_Blocks]) -> _Blocks:
+    """Return blocks as one stack."""
+    return _Blocks(*(np.concatenate(rows) for rows in zip(*blocks)))
 
 
-def _averaged(ticks: Sequence[tuple[FloatArray, FloatArray, int]], offset: float) -> _Block:
-    """Return the means of some ticks, whose sensitivities are those to deviations only."""
+def _averaged(ticks: Sequence[tuple[FloatArray, FloatArray, int]], offset: float) -> _Blocks:
+    """Return the means of some ticks as one block."""
     values = np.array([each for each, _, _ in ticks])
     slopes = np.array([each for _, each, _ in ticks])
     there = np.isfinite(values)
     count = there.sum(axis=0).astype(float)
     over = np.maximum(count, 1.0)
     mean = np.where(there[:, None], slopes, 0.0).sum(axis=0) / over
-    return _Block(
-        count,
-        np.where(there, values, 0.0).sum(axis=0) / over,
-        np.vstack([mean, np.diag(np.where(count > 0, offset, 0.0))]),
+    return _Blocks(
+        count[None],
+        (np.where(there, values, 0.0).sum(axis=0) / over)[None],
+        mean[None],
+        np.where(count > 0, offset, 0.0)[None],
         # A block in which the rover drives at all is shaken.
-        max(kind for _, _, kind in ticks),
+        np.array([max(kind for _, _, kind in ticks)]),
     )

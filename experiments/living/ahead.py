@@ -2,17 +2,15 @@
 
 import dataclasses
 import math
-import time
-from collections.abc import Mapping
 
 import numpy as np
 
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.arm_control import ArmController, ArmGains, Reference
-from controllers.motion.base_motion import level_of
+from controllers.motion.arm_control import ArmGains
 from controllers.motion.driving import SkidSteer
-from controllers.motion.look_ahead import PERIOD, TIPPED, LookAhead, Plan
-from controllers.motion.tip_over import Sweep
+from controllers.motion.tipping.foreseen_motion import ForeseenMotion, MotionConfig
+from controllers.motion.tipping.look_ahead import TIPPED, LookAhead
+from controllers.motion.tipping.tip_over import Sweep
 from experiments.appa.control.trial import arm_config
 from models.compose import PayloadConfig, RobotPlacement, make_model
 from models.configuration import FieldConfig
@@ -21,7 +19,6 @@ from twin.connect import connect
 from twin.describe import describe
 from twin.description import RobotDescription
 from twin.loop import run as run_loop
-from twin.robot import Command, Observation, WheelMode
 from twin.simulation import Simulation
 
 ROBOT = "rover1"
@@ -100,97 +97,6 @@ class Foreseen:
         return math.isfinite(self.tipped)
 
 
-class Motion:
-    """Makes one motion with a load in the gripper that it knows, and looks ahead.
-
-    Args:
-        rover: The rover with its load, as drawn.
-        start: (4,) where the arm begins [rad].
-        path: The arm's motion from there.
-        ways: (k, 2) forward speeds [m/s] and turning rates [rad/s] of a drive; none for a swing.
-        rng: Random generator of what is looked at.
-
-    Attributes:
-        asked: Times at which it looked ahead [s].
-        chances: Probabilities to tip over within `horizon`, as it foresaw.
-        horizon: How far it looks ahead [s].
-        took: Longest time that one look took [s].
-    """
-
-    def __init__(
-        self,
-        rover: RobotDescription,
-        start: FloatArray,
-        path: Sweep,
-        ways: FloatArray,
-        rng: np.random.Generator,
-    ) -> None:
-        assert rover.arm is not None
-        self._approach, self._path = Sweep(rover.arm.home, start, APPROACH), path
-        self._steer, self._ways = SkidSteer.of(rover, _TURN_SHARE), ways
-        self._ahead, self._rng = LookAhead(rover), rng
-        self.horizon = AHEAD if len(ways) else WITHIN
-        config = arm_config(SerialChain.of_robot(rover), "pd_gravity", 0.0)
-        config = dataclasses.replace(config, gains=_GAINS)
-        self._arm = ArmController(config, self._reference)
-        self.reset()
-
-    def reset(self) -> None:
-        """Begin anew."""
-        self._arm.reset()
-        self._ticks = -round((APPROACH + REST) / PERIOD)
-        self.asked: list[float] = []
-        self.chances: list[float] = []
-        self.took = 0.0
-
-    @property
-    def time(self) -> float:
-        """Time since the motion began [s]; below 0 before."""
-        return self._ticks * PERIOD
-
-    def step(self, observations: Mapping[str, Observation]) -> Mapping[str, Command]:
-        """Command arm and wheels, and look ahead when it is time."""
-        seen = observations[ROBOT]
-        if self._ticks == 0 or (len(self._ways) and self._is_due()):
-            begun = time.perf_counter()
-            angles = np.array(seen.arm_angles.value, dtype=float)
-            found = self._ahead.outlook(self.plan(angles), self._rng, level_of(seen))
-            self.asked.append(self.time)
-            self.chances.append(found.tip())
-            self.took = max(self.took, time.perf_counter() - begun)
-        arm = self._arm.step(observations)[ROBOT]
-        wheels = self._steer.wheel_speeds(*self._way(self.time))
-        self._ticks += 1
-        return {ROBOT: dataclasses.replace(arm, wheels=wheels, wheel_mode=WheelMode.SPEED)}
-
-    def plan(self, angles: FloatArray) -> Plan:
-        """Return what is planned from now on.
-
-        Args:
-            angles: (4,) where the arm is measured [rad].
-        """
-        if not len(self._ways):
-            return Plan.of_arm(dataclasses.replace(self._path, start=angles).at, self.horizon)
-        times = self.time + PERIOD * np.arange(round(self.horizon / PERIOD))
-        speeds, turns = np.array([self._way(each) for each in times]).T
-        return Plan.of_drive(angles, speeds, turns)
-
-    def _is_due(self) -> bool:
-        return self._ticks > 0 and self._ticks % round(EVERY / PERIOD) == 0
-
-    def _way(self, at: float) -> tuple[float, float]:
-        """Return speed [m/s] and turning rate [rad/s] at a time."""
-        index = math.floor(at / STRETCH + 1e-9)
-        if not 0 <= index < len(self._ways):
-            return 0.0, 0.0
-        speed, turn = self._ways[index].tolist()
-        return speed, turn
-
-    def _reference(self, at: float) -> Reference:
-        begun = at - APPROACH - REST
-        return Reference(*(self._approach.at(at) if begun < 0.0 else self._path.at(begun)))
-
-
 def foresee(trial: AheadTrial) -> Foreseen:
     """Look ahead before a swing, or every `EVERY` of a drive, and see what comes."""
     rng = np.random.default_rng([trial.seed, KINDS.index(trial.kind)])
@@ -214,7 +120,19 @@ def _attempt(trial: AheadTrial, rng: np.random.Generator) -> Foreseen | None:
     if trial.kind == "drive":
         start, path = posture, Sweep(posture, posture, WITHIN)
         ways = rng.uniform([-SPEED, -TURN], [SPEED, TURN], (math.floor(WITHIN / STRETCH), 2))
-    motion = Motion(rover, start, path, ways, rng)
+    arm = arm_config(SerialChain.of_robot(rover), "pd_gravity", 0.0)
+    config = MotionConfig(
+        dataclasses.replace(arm, gains=_GAINS),
+        SkidSteer.of(rover, _TURN_SHARE),
+        Sweep(rover.arm.home, start, APPROACH),
+        path,
+        ways,
+        STRETCH,
+        REST,
+        AHEAD if len(ways) else WITHIN,
+        EVERY,
+    )
+    motion = ForeseenMotion(config, LookAhead(rover), rng)
     robots, seed = [placed], int(rng.integers(2**31))
     with connect("sim", robots=robots, field=field, realism="default", seed=seed) as connection:
         simulation = connection.simulation
@@ -227,7 +145,7 @@ def _attempt(trial: AheadTrial, rng: np.random.Generator) -> Foreseen | None:
     if tipped <= 0.0:
         return None
     asked, chances = np.array(motion.asked), np.array(motion.chances)
-    return Foreseen(tipped, asked, chances, motion.horizon, slope, load, motion.took)
+    return Foreseen(tipped, asked, chances, config.horizon, slope, load, motion.took)
 
 
 def _posture(rover: RobotDescription, rng: np.random.Generator) -> FloatArray:

@@ -6,8 +6,8 @@ import numpy as np
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from controllers.motion.base_motion import level_of
-from controllers.motion.look_ahead import LookAhead, Plan
 from controllers.motion.playback import MotionPlayer
+from controllers.motion.tipping.look_ahead import LookAhead, Plan
 from experiments.harness.contract import ExperimentError
 from experiments.harness.robot_option import check_calibrations
 from experiments.own.motion_file import read_motion

@@ -6,10 +6,12 @@ from typing import Annotated
 
 import tyro
 
-from controllers.motion.look_ahead import CHANCE
 from experiments.harness.contract import OptionError, check_new
 from experiments.harness.robot_option import check_one_rover
 from twin.optics.realism import RealismName
+
+RISK = 0.05
+"""Largest probability to tip over, or to touch the ground, unless said otherwise."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +39,7 @@ class Options:
     approach: Annotated[float, tyro.conf.arg(metavar="RAD/S")] = 0.5
     realism: RealismName | None = None
     seed: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
-    risk: Annotated[float, tyro.conf.arg(metavar="P")] = CHANCE
+    risk: Annotated[float, tyro.conf.arg(metavar="P")] = RISK
 
     def __post_init__(self) -> None:
         """Refuse robots that cannot play it, and what they have no use for.

@@ -1,13 +1,15 @@
 """How far a measurement corrects a shadow's state: the steady gain of a Kalman filter.
 
 The model is linearised about rest on level ground in the arm's present posture, looking along the y
-axis, without dry friction: what sticks there slides in motion. Its state is a small place and rate
+axis, without dry friction: what sticks there slides in motion. In another posture this is done in
+parts, a part a tick, so that no tick takes long. Its state is a small place and rate
 of each degree of freedom and the slope of the ground. Where a rover stands and which way it looks,
 nothing tells, and nothing corrects.
 """
 
 import copy
 import dataclasses
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
@@ -21,6 +23,7 @@ SMALL = 1e-7  # Step of the finite differences [SI].
 SETTLING = 0.3  # Time in which the base comes to rest under an arm in another posture [s].
 _UNSEEN = (0, 1, 5)  # Degrees of freedom: place on the ground, and heading.
 _FIRST, _NEXT = 40, 8  # Steps towards the steady covariance, at first and for each new posture.
+_PARTS = 3  # Ticks over which the base comes to rest in a new posture.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,23 +106,33 @@ class SteadyGain:
         self._noise = np.diag(variances)
         self._covariance = np.diag(np.full(2 * freedoms + 2, 1e-4))
         self._at: FloatArray | None = None
+        self._parts: Iterator[None] = iter(())
 
     def follow(self, angles: FloatArray) -> None:
-        """Calculate the gain, if the arm's posture has changed.
+        """Calculate the gain at first, and a part of it while the arm's posture changes.
 
         Args:
             angles: (joints,) of the arm [rad].
         """
-        first = self._at is None
-        if self._at is not None and np.abs(angles - self._at).max() < self._posture:
+        if self._at is None:
+            for _ in self._calculated(angles, 1, _FIRST):
+                pass
+        for _ in self._parts:
             return
+        if self._at is not None and np.abs(angles - self._at).max() >= self._posture:
+            self._parts = self._calculated(angles, _PARTS, _NEXT)
+
+    def _calculated(self, angles: FloatArray, parts: int, steps: int) -> Iterator[None]:
+        """Calculate the gain in a posture, a part of it for each item."""
         self._at = angles.copy()
         places = self._model.key_qpos[0].copy()
         places[self._readings.joints[0]] = angles
-        settle(self._model, self._data, places, self._readings)
+        yield from settling(self._model, self._data, places, self._readings, SETTLING, parts)
         transition, sensed = self._linearised()
-        for _ in range(_FIRST if first else _NEXT):
+        yield
+        for _ in range(steps):
             self._advance(transition, sensed)
+            yield
 
     def _advance(self, transition: FloatArray, sensed: FloatArray) -> None:
         """Advance the covariance by a tick, which gives the gain of that tick."""
@@ -182,11 +195,25 @@ def settle(
         readings: Tells the arm's joints.
         seconds: Time that it takes [s].
     """
+    for _ in settling(model, data, places, readings, seconds, 1):
+        pass
+
+
+def settling(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    places: FloatArray,
+    readings: Readings,
+    seconds: float,
+    parts: int,
+) -> Iterator[None]:
+    """Yield after each part of what `settle` does; the model is as it was in between."""
     rest(model, data, places, np.zeros(int(model.nu)))
     own = model.dof_armature.copy()
-    model.dof_armature[readings.joints[1]] = HOLDING
-    for _ in range(round(seconds / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-    model.dof_armature[:] = own
+    for _ in range(parts):
+        model.dof_armature[readings.joints[1]] = HOLDING
+        mujoco.mj_step(model, data, round(seconds / model.opt.timestep / parts))
+        model.dof_armature[:] = own
+        yield
     data.qvel[:] = 0.0
     mujoco.mj_forward(model, data)

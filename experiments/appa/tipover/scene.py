@@ -9,9 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from controllers.kinematics.rigid_motion import at_rest
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.look_ahead import LookAhead
-from controllers.motion.tip_over import Footing, ground_wrench
-from controllers.motion.tip_over import zero_moment_point as balance
+from controllers.motion.tipping.look_ahead import LookAhead
+from controllers.motion.tipping.tip_over import Footing, ground_wrench
+from controllers.motion.tipping.tip_over import zero_moment_point as balance
 from experiments.appa.control.plant import PLAIN
 from experiments.appa.control.trial import ROBOT
 from models import datasheets

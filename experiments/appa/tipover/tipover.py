@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from controllers.motion.guarded_swing import GUARDS
+from controllers.motion.tipping.guarded_swing import GUARDS
 from experiments.appa.tipover.tipover_options import Options
 from experiments.appa.tipover.trial import TipRun, TipTrial, run_tip
 from experiments.harness.intervals import distribution

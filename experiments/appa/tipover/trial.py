@@ -5,8 +5,8 @@ import math
 
 import numpy as np
 
-from controllers.motion.guarded_swing import HELD, GuardedSwing, GuardedSwingConfig
-from controllers.motion.tip_over import Sweep
+from controllers.motion.tipping.guarded_swing import HELD, GuardedSwing, GuardedSwingConfig
+from controllers.motion.tipping.tip_over import Sweep
 from experiments.appa.control.trial import PERIOD, ROBOT, arm_config
 from experiments.appa.tipover.scene import TipScene
 from perception.geometry.arrays import FloatArray

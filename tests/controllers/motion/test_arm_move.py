@@ -5,7 +5,7 @@ import pytest
 
 from controllers.motion.arm_move import ArmMove
 from controllers.motion.base_motion import level_of
-from controllers.motion.tip_over import Footing
+from controllers.motion.tipping.tip_over import Footing
 from tests.controllers.motion.seen import PAIR, seen_at
 from twin.describe import describe_rover
 from twin.robot import ArmMode, Observation, WheelMode

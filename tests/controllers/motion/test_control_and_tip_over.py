@@ -10,7 +10,7 @@ from controllers.kinematics.rigid_motion import LEVEL, WEIGHTLESS, FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
 from controllers.motion.arm_control import ArmControlConfig, ArmController, ArmGains, Reference
 from controllers.motion.base_motion import BaseMotionFilter, level_of
-from controllers.motion.tip_over import (
+from controllers.motion.tipping.tip_over import (
     Footing,
     GuardConfig,
     Sweep,

@@ -8,7 +8,13 @@ import scipy.integrate
 import scipy.signal
 import scipy.stats
 
-from controllers.sensing.changes import UNKNOWN, Change, ChangeConfig, ChangeDetector
+from controllers.sensing.changes import (
+    UNKNOWN,
+    Change,
+    ChangeConfig,
+    ChangeDetector,
+    _joined,
+)
 
 SPREADS = np.array([0.5, 2.0, 0.1])
 CONFIG = ChangeConfig(
@@ -85,14 +91,15 @@ def test_ratio_is_that_of_the_likelihoods_integrated_over_the_size(offset):
     for tick, (values, slopes) in enumerate(innovations(rng, 200, lambda tick: np.zeros(3))):
         kind = tick // CONFIG.block % 2
         detector.step((1.0 + kind) * values, SIGMA, slopes, kind)
-    blocks = list(detector._recent)[-4:]
-    assert {block.kind for block in blocks} == {0, 1}
-    ratios = detector._compare(blocks).ratios
+    blocks = _joined(detector._recent).last(4)
+    assert set(blocks.kinds) == {0, 1}
+    ratios = detector._compare(blocks, np.linalg.inv(detector._covariance)).ratios
     # By brute force: all block means as one Gaussian vector, whose mean the change moves.
     variances = detector._variances
-    slopes = np.vstack([block.slopes.T for block in blocks])
-    values = np.concatenate([block.values for block in blocks])
-    noise = np.concatenate([variances[block.kind] / block.ticks for block in blocks])
+    offsets = [np.diag(row) for row in blocks.offsets]
+    slopes = np.vstack([np.vstack([*pair]).T for pair in zip(blocks.slopes, offsets)])
+    values = np.concatenate(blocks.values)
+    noise = np.concatenate(variances[blocks.kinds] / blocks.ticks)
     known = detector._covariance
     covariance = np.diag(noise) + slopes @ known @ slopes.T
     off = values - slopes @ detector._mean

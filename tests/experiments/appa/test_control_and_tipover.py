@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from controllers.motion.guarded_swing import GUARDS
+from controllers.motion.tipping.guarded_swing import GUARDS
 from experiments.appa.control.trial import ROBOT, ControlTrial, run_control
 from experiments.appa.tipover.scene import TipScene
 from experiments.appa.tipover.tipover import motions

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from controllers.motion.look_ahead import LookAhead, Outlook
+from controllers.motion.tipping.look_ahead import LookAhead, Outlook
 from experiments.__main__ import main
 from experiments.harness.output import Output
 from experiments.living.ahead import LIKELY, WITHIN, AheadTrial, Foreseen, foresee

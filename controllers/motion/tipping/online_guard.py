@@ -16,7 +16,7 @@ import numba
 import numpy as np
 
 from controllers.kinematics.rigid_motion import FrameMotion
-from controllers.motion.tip_over import Footing
+from controllers.motion.tipping.tip_over import Footing
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 

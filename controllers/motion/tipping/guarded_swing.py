@@ -13,9 +13,9 @@ import numpy as np
 
 from controllers.motion.arm_control import ArmControlConfig, ArmController, Reference
 from controllers.motion.base_motion import level_of
-from controllers.motion.look_ahead import LookAhead, slow
-from controllers.motion.online_guard import OnlineGuard
-from controllers.motion.tip_over import Footing, Guarded, Sweep, guard
+from controllers.motion.tipping.look_ahead import LookAhead, slow
+from controllers.motion.tipping.online_guard import OnlineGuard
+from controllers.motion.tipping.tip_over import Footing, Guarded, Sweep, guard
 from perception.geometry.checks import check_choice
 from twin.robot import Command, Observation
 

@@ -9,9 +9,9 @@ import pytest
 
 from controllers.kinematics.rigid_motion import at_rest
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.look_ahead import PERIOD, TIPPED, Doubt, LookAhead, Plan, slow
-from controllers.motion.rocking import rock
-from controllers.motion.tip_over import Sweep
+from controllers.motion.tipping.look_ahead import PERIOD, TIPPED, Doubt, LookAhead, Plan, slow
+from controllers.motion.tipping.rocking import rock
+from controllers.motion.tipping.tip_over import Sweep
 from models.compose import FieldConfig, PayloadConfig, RobotPlacement, build_scene
 from perception.geometry.gravity import GRAVITY
 from twin.describe import describe, describe_rover

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from controllers.kinematics.rigid_motion import LEVEL, WEIGHTLESS, FrameMotion
 from controllers.kinematics.serial_chain import SerialChain
-from controllers.motion.rocking import Chassis, Copies, Moving, rock
-from controllers.motion.tip_over import Guarded, Sweep
+from controllers.motion.tipping.rocking import Chassis, Copies, Moving, rock
+from controllers.motion.tipping.tip_over import Guarded, Sweep
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 from perception.geometry.gravity import GRAVITY

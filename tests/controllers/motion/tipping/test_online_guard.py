@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from controllers.kinematics.rigid_motion import LEVEL, at_rest
-from controllers.motion.online_guard import OnlineConfig, OnlineGuard
-from controllers.motion.tip_over import Sweep
+from controllers.motion.tipping.online_guard import OnlineConfig, OnlineGuard
+from controllers.motion.tipping.tip_over import Sweep
 from perception.geometry.gravity import GRAVITY
 from tests.controllers.motion.test_control_and_tip_over import SQUARE, footing
 
