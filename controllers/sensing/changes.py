@@ -300,8 +300,8 @@ class ChangeDetector:
             kind: Kind of motion, below `KINDS`.
 
         Returns:
-            A change, once it is named: some ticks after the block that shows it, as each tick looks
-            at one window only.
+            A change, once it is named. That is some ticks after the block that shows it, as each
+            tick looks at one window only.
         """
         finding = next(self._looking, None)
         clipped = np.clip(values / sigma, -_CLIP, _CLIP)
