@@ -109,15 +109,16 @@ class Plan:
 
 @dataclasses.dataclass(frozen=True)
 class Doubt:
-    """Standard deviations of what is known of a rover; the default is for one as made.
+    """What is not known of a rover; the default is for one as made.
 
     Attributes:
-        mass: Of the rover without its arm, and of the arm, as shares.
-        centre: Of where the mass of the rover without its arm lies, along each axis [m].
-        spring: Of each spring's stiffness, as a share.
-        damper: Of each damper, as a share.
-        load: Of the mass in the gripper, as a share.
-        tilt: Of the measured tilt about each axis [rad].
+        mass: Standard deviation of the masses of rover and arm, as a share of each.
+        centre: Standard deviation along each axis of the rover's centre of mass without its arm
+            [m].
+        spring: Standard deviation of each spring's stiffness, as a share of it.
+        damper: Standard deviation of each damper, as a share of it.
+        load: Standard deviation of the mass in the gripper, as a share of it.
+        tilt: Standard deviation of the measured tilt about each axis [rad].
     """
 
     mass: float = 0.03
