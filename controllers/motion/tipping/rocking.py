@@ -23,7 +23,7 @@ STEP = 0.0025
 """Time step [s]: a thirtieth of the fastest swing's period."""
 _SETTLING = 400  # Steps at first in which it comes to rest, with critical damping.
 _STUCK = 300.0  # Stiffness of the halves against each other, while their tyres hold [N m/rad].
-_TURN_SHARE = 0.5  # Turns over those of rolling wheels, of the rover as drawn on level ground.
+_TURN_SHARE = 0.5  # Turns over those of rolling wheels; as drawn 0.56, and less on slopes.
 
 
 class Chassis(NamedTuple):
