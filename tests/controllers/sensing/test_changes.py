@@ -279,3 +279,8 @@ def test_it_goes_on_with_what_it_has_learned():
     assert np.isfinite(again.odds)
     with pytest.raises(ValueError, match="expected 2 deviations"):
         ChangeDetector(SPREADS[:2], [], ROBUST).remember(detector.memory)
+
+
+def test_a_block_of_fewer_ticks_than_there_are_windows_is_refused():
+    with pytest.raises(ValueError, match="block = 3: expected more ticks than the 3 windows"):
+        dataclasses.replace(CONFIG, block=3)
