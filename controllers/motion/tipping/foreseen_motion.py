@@ -81,8 +81,7 @@ class ForeseenMotion:
         seen = observations[config.arm.robot]
         if self._is_due():
             begun = time.perf_counter()
-            angles = np.array(seen.arm_angles.value, dtype=float)
-            found = self._ahead.outlook(self._plan(angles), self._rng, level_of(seen))
+            found = self._ahead.outlook(self._plan(seen), self._rng, level_of(seen))
             self.asked.append(self.time)
             self.chances.append(found.tip())
             self.took = max(self.took, time.perf_counter() - begun)
@@ -101,15 +100,17 @@ class ForeseenMotion:
         drives = len(self._config.ways) > 0
         return self._ticks == 0 or (drives and self._ticks > 0 and self._ticks % every == 0)
 
-    def _plan(self, angles: FloatArray) -> Plan:
-        """Return what is planned from now on, with the arm where it is measured."""
+    def _plan(self, seen: Observation) -> Plan:
+        """Return what is planned from now on, with the arm and the wheels as they are measured."""
         config = self._config
+        angles = np.array(seen.arm_angles.value, dtype=float)
         if not len(config.ways):
             path = dataclasses.replace(config.path, start=angles)
             return Plan.of_arm(path.at, config.horizon)
         times = self.time + PERIOD * np.arange(round(config.horizon / PERIOD))
         speeds, turns = np.array([self._way(each) for each in times]).T
-        return Plan.of_drive(angles, speeds, turns)
+        now = config.steer.motion(seen.wheel_speeds.value)
+        return Plan.of_drive(angles, speeds, turns, now)
 
     def _way(self, at: float) -> tuple[float, float]:
         """Return speed [m/s] and turning rate [rad/s] at a time."""

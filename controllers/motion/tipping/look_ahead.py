@@ -94,17 +94,25 @@ class Plan:
         return cls.of_arm(path, float(last - first) + _AFTER)
 
     @classmethod
-    def of_drive(cls, angles: FloatArray, speeds: FloatArray, turns: FloatArray) -> "Plan":
+    def of_drive(
+        cls,
+        angles: FloatArray,
+        speeds: FloatArray,
+        turns: FloatArray,
+        now: tuple[float, float] = (0.0, 0.0),
+    ) -> "Plan":
         """Return a drive with the arm at rest.
 
         Args:
             angles: (joints,) of the arm [rad].
             speeds: (n,) commanded forward speed [m/s].
             turns: (n,) commanded turning rate to the left [rad/s].
+            now: Forward speed [m/s] and turning rate [rad/s] that the rover has.
         """
         held = np.tile(angles, (len(speeds), 1))
         rest = np.zeros_like(held)
-        return cls(held, rest, rest, _followed(speeds), _followed(turns))
+        followed = (_followed(*each) for each in zip((speeds, turns), now))
+        return cls(held, rest, rest, *followed)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -224,7 +232,7 @@ class LookAhead:
         """Return what a plan may lead to.
 
         Args:
-            plan: What is planned, from rest.
+            plan: What is planned; the base does not swing at its beginning.
             rng: Random generator of the copies.
             still: The base at rest, as its inclinometer has it.
         """
@@ -371,10 +379,11 @@ def _holding(chain: SerialChain, place: FloatArray) -> SerialChain:
     return dataclasses.replace(chain, joints=joints, base=WEIGHTLESS)
 
 
-def _followed(commanded: FloatArray) -> FloatArray:
-    """Return how the wheels follow a commanded speed (n,), from rest."""
+def _followed(commanded: FloatArray, now: float) -> FloatArray:
+    """Return how the wheels follow a commanded speed (n,), from the one that they have."""
     share = PERIOD / (_LAG + PERIOD)
-    return np.asarray(scipy.signal.lfilter([share], [1.0, share - 1.0], commanded))
+    kept = [(1.0 - share) * now]
+    return scipy.signal.lfilter([share], [1.0, share - 1.0], commanded, zi=kept)[0]
 
 
 def _first(happens: NDArray[np.bool_]) -> FloatArray:

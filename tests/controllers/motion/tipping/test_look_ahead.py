@@ -202,6 +202,18 @@ def test_chances_grow_with_what_is_not_known():
     np.testing.assert_array_equal(again[0].tips, again[1].tips)
 
 
+def test_a_drive_goes_on_from_the_speed_that_the_rover_has():
+    lag, speed, turn = 0.05, 0.2, -0.4
+    commanded = np.tile([[speed], [turn]], (1, 40))
+    held = Plan.of_drive(HOME, *commanded, (speed, turn))
+    np.testing.assert_allclose([held.speeds, held.turns], commanded, rtol=1e-12)
+    # A first-order lag, taken backward in time.
+    left = (lag / (lag + PERIOD)) ** np.arange(1, 41)
+    slower = Plan.of_drive(HOME, *commanded, (-speed, 0.0))
+    np.testing.assert_allclose(slower.speeds, speed * (1.0 - 2.0 * left), atol=1e-12)
+    np.testing.assert_allclose(slower.turns, turn * (1.0 - left), atol=1e-12)
+
+
 def test_a_swing_is_slowed_until_it_hardly_tips_the_rover_over():
     rover, load = loaded(0.8), 0.8
     ahead = LookAhead(rover, friction=(0.5, 0.6))
