@@ -323,6 +323,19 @@ class SensorBank:
         check_channel(name)
         self._table[_BIAS, self._places[name] + number] += by
 
+    def stick(self, name: str, number: int, at: float) -> None:
+        """Let a sensor stick, for good: but for its noise it reads the same from now on.
+
+        Args:
+            name: Name of the channel.
+            number: Which of its numbers.
+            at: What it reads, in the channel's unit.
+        """
+        check_channel(name)
+        column = self._places[name] + number
+        self._table[[_SCALE, _DRIFT, _CROSSED], column] = 0.0
+        self._table[_BIAS, column] = at
+
     def disconnect(self, name: str) -> None:
         """Disconnect a sensor, as a broken wire does; its channel is missing from now on."""
         check_channel(name)

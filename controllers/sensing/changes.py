@@ -31,11 +31,12 @@ UNKNOWN = "unknown change"
 KINDS = 2
 """Kinds of motion whose readings vary apart, as standing and driving."""
 _FLOOR = 1e-3  # Least long-run variance of a reading, over what its sigma says.
-_CLIP = 6.0  # Deviations beyond which a single innovation counts no further: stones, knocks.
+_MOST = 6.0  # Deviations for which a single innovation counts at most: stones, knocks.
 _LEAST = 1e-3  # Least information that counts, in what is known beforehand.
 _FREELY = 3.0  # How far a change may go that is fitted, over what it may well be.
 _ROUGHEST = 4.0  # Most that a window's variance counts for, over the long-run one.
-_STRANGE = 4.0  # Mean squared deviation that the best change must leave, or it is none of these.
+_STRANGE = 4.0  # Mean squared deviation above which what the best change leaves counts as much,
+_LITTLE = 0.5  # and its share of what is left without it above which that explains too little.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +80,7 @@ class ChangeConfig:
     """
 
     block: int = 25
-    windows: tuple[int, ...] = (2, 4, 8, 16, 32)
+    windows: tuple[int, ...] = (2, 3, 4, 5, 6, 8, 11, 16, 23, 32)
     learning: int = 80
     settling: int = 8
     between: float = 1e9
@@ -184,12 +185,19 @@ class _Window(NamedTuple):
         sizes: Its likeliest size.
         sigmas: Standard deviation of that.
         misfit: How far they are off with the likeliest change, as mean squared deviation.
+        without: How far they are off without any.
     """
 
     ratios: FloatArray
     sizes: FloatArray
     sigmas: FloatArray
-    misfit: float
+    misfit: float = 0.0
+    without: float = 0.0
+
+    @property
+    def strange(self) -> bool:
+        """Whether the likeliest change leaves too much."""
+        return self.misfit > max(_STRANGE, _LITTLE * self.without)
 
 
 class ChangeDetector:
@@ -304,8 +312,10 @@ class ChangeDetector:
             tick looks at one window only.
         """
         finding = next(self._looking, None)
-        clipped = np.clip(values / sigma, -_CLIP, _CLIP)
-        self._ticks.append((clipped, self._spreads[:, None] * sensitivities / sigma, kind))
+        # What is far beyond its noise counts for less, and with it what would explain it.
+        counted = 1.0 / np.maximum(sigma, np.abs(np.nan_to_num(values)) / _MOST)
+        slopes = self._spreads[:, None] * sensitivities * counted
+        self._ticks.append((values * counted, slopes, kind))
         if len(self._ticks) < self._config.block or finding is not None:
             return finding
         block, self._ticks = _averaged(self._ticks, self._config.offset), []
@@ -386,7 +396,7 @@ class ChangeDetector:
         best = int(np.argmax(self.evidence))
         window = max(windows, key=lambda each: float(each.ratios[best]))
         size, sigma = float(window.sizes[best]), float(window.sigmas[best])
-        name = UNKNOWN if window.misfit > _STRANGE else self.changes[best].name
+        name = UNKNOWN if window.strange else self.changes[best].name
         return Finding(name, size, sigma, abs(size / sigma))
 
     def _compare(self, blocks: _Blocks, spared: FloatArray) -> _Window:
@@ -399,16 +409,19 @@ class ChangeDetector:
         variances = self._variances
         told = blocks.weighed(variances)
         window = self._weigh(*told, spared)
-        squares, count = self._left_by(blocks, *told, int(np.argmax(window.ratios)))
+        best = int(np.argmax(window.ratios))
+        likeliest = self._directions[best] * _FREELY * self._sizes[best]
+        squares, count = self._left_by(blocks, *told, likeliest)
+        without = self._left_by(blocks, *told, np.zeros_like(likeliest))[0].sum() / count.sum()
         freedom = self._config.freedom
         rough = (freedom + squares) / (freedom + count)
         rough = np.clip(rough, 1.0, _ROUGHEST)
         misfit = float(squares.sum() / count.sum())
         window = self._weigh(*blocks.weighed(variances * rough), spared)
-        return window._replace(misfit=misfit)
+        return window._replace(misfit=misfit, without=float(without))
 
     def _left_by(
-        self, blocks: _Blocks, information: FloatArray, score: FloatArray, change: int
+        self, blocks: _Blocks, information: FloatArray, score: FloatArray, change: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return what a change leaves unexplained.
 
@@ -416,14 +429,13 @@ class ChangeDetector:
             blocks: Blocks of a window.
             information: (k + n, k + n) what they tell.
             score: (k + n,) likewise.
-            change: Its number.
+            change: (k + n,) its direction, as far as it may go; zeros for none.
 
         Returns:
             (n,) sums of the squares of what each reading is off by still, over their variance, and
             (n,) count of these.
         """
-        along = self._directions[change] * _FREELY * self._sizes[change]
-        prior = np.linalg.inv(self._before_window + np.outer(along, along))
+        prior = np.linalg.inv(self._before_window + np.outer(change, change))
         mean = self._mean + np.linalg.solve(prior + information, score - information @ self._mean)
         own = np.maximum(self._products[:, 0], _FLOOR)[blocks.kinds]
         left = np.square(blocks.values - blocks.expected(mean)) * blocks.ticks / own
@@ -453,7 +465,7 @@ class ChangeDetector:
         # Of a change of one sign the other half of the sizes counts for nothing.
         half = np.log(2.0) + scipy.special.log_ndtr(self._signs * ahead)
         ratios += np.where(self._signs == 0, 0.0, half)
-        return _Window(ratios, sizes, precision**-0.5, 0.0)
+        return _Window(ratios, sizes, precision**-0.5)
 
 
 def _joined(blocks: Iterable[_Blocks]) -> _Blocks:

@@ -27,7 +27,8 @@ class Bounds:
     that of two that look alike the one that is known worse is taken for larger.
 
     Attributes:
-        torque: Share of a motor's torque at rest that is lost, or that friction takes.
+        torque: Share of a motor's torque at rest that is lost, or that friction takes; what is
+            blocked lacks all, and a motor whose encoder sticks is led by none.
         base_load: Load on the base over the rover's weight as drawn.
         gripper_load: Moment of a load in the gripper about the shoulder with the arm stretched
             out, over the torque of that motor at rest.
@@ -70,6 +71,9 @@ def consequence_of(
             motor = motors[finding.name.partition(" ")[2]]
             share, limits = size / motor.stall_torque, bounds.torque
             what = f"{part} turns hard"
+        case "stuck" | "blocked":
+            share, limits = size, bounds.torque
+            what = f"{part} is blocked" if kind == "blocked" else f"the encoder of {part} sticks"
         case "load" if part == "base":
             share, limits = size / robot_mass(robot), bounds.base_load
             what = "the base carries a load"

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 
 from perception.geometry.arrays import FloatArray
-from twin.shadow.deviations import DECK
+from twin.shadow.deviations import BLOCKED, DECK
 from twin.simulation import Simulation
 
 TILT = ("pitch", "roll")
@@ -20,7 +20,9 @@ def happen(
         drawn: The rover as drawn, with the same names.
         robot: Its name.
         name: ``battery``, or kind and part as of `twin.shadow.deviations.rover_deviations`.
-        size: Load [kg], friction [N m], drift of a zero [rad]; else the share that is lost.
+        size: Load [kg], friction [N m], drift of a zero [rad]; 1 of what sticks or is
+            blocked; else the share
+            that is lost.
 
     Returns:
         The size in the twin's unit: of springs and grip what is lost over the drawing's.
@@ -40,6 +42,9 @@ def happen(
             return -lost / float(drawn.joint(joint).stiffness[0])
         case "drag":
             model.dof_frictionloss[model.joint(f"{robot}/{part}_joint").dofadr[0]] += size
+        case "blocked":
+            joint = model.joint(f"{robot}/{part}_joint")
+            model.dof_frictionloss[joint.dofadr[0]] += BLOCKED * size
         case "grip":
             wheels = one.description.wheel_names if part == "all" else (part,)
             shares: list[float] = []
@@ -51,6 +56,13 @@ def happen(
         case "supply" | "battery":
             for axis in (part,) if kind == "supply" else one.description.axes:
                 one.weaken(axis, size)
+        case "stuck" if part in one.description.wheel_names:
+            one.sensors.stick("wheel_speeds", one.description.wheel_names.index(part), 0.0)
+        case "stuck":
+            joint = one.description.joint_names.index(part)
+            angle = one.observe().arm_angles.value[joint]
+            one.sensors.stick("arm_angles", joint, float(angle))
+            one.sensors.stick("arm_rates", joint, 0.0)
         case "zero" if part in TILT:
             one.sensors.drift("inclinometer", TILT.index(part), size)
         case "zero":

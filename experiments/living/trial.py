@@ -74,6 +74,11 @@ class Watched:
         """Whether what happened was named."""
         return self.found == self.name
 
+    @property
+    def whole(self) -> bool:
+        """Whether it happens wholly or not at all, so that it has no size."""
+        return self.name.startswith(("stuck", "blocked"))
+
 
 class _Beside(LoopRecorder):
     def __init__(self, twin: TwinBeside) -> None:

@@ -19,6 +19,8 @@ LINKS = ("upper_arm", "forearm", "wrist")
 """Links of the arm that reach out, each along the y axis of its frame."""
 TIME_STEP = 0.002
 """Physics step of a shadow [s], twice the scenes': its errors stay below the sensors' noise."""
+BLOCKED = 10.0
+"""Friction of what is blocked [N m]; no motor gives 7."""
 _HALF_LOAD = 0.025  # Half size of a load, of which its inertia follows [m].
 _UNIFORM = 3.0**-0.5  # Standard deviation of what is even within 1 to both sides.
 
@@ -40,6 +42,7 @@ class Deviation:
         write: Function that gives it to a compiled model.
         supply: Share of each motor's voltage that is lost by one unit, by name of the axis.
         reading: What one unit adds to readings, by channel and number.
+        stuck: Readings that stay as they were, by channel and number: at one unit wholly.
     """
 
     name: str
@@ -53,6 +56,7 @@ class Deviation:
     reading: Mapping[tuple[str, int], float] = dataclasses.field(
         default_factory=dict[tuple[str, int], float]
     )
+    stuck: Sequence[tuple[str, int]] = ()
 
 
 def shadow_scene(robot: RobotPlacement) -> mujoco.MjModel:
@@ -87,7 +91,7 @@ def shadow_scene(robot: RobotPlacement) -> mujoco.MjModel:
 
 
 def rover_deviations(robot: RobotDescription) -> list[Deviation]:
-    """Return how the thesis' rover may differ: loads, springs, motors, wheels, zeros.
+    """Return how the thesis' rover may differ: loads, springs, motors, wheels, zeros, what sticks.
 
     Args:
         robot: The rover as drawn.
@@ -127,6 +131,16 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
             reading = {(channel, number): 1.0}
             spread = most * _UNIFORM
             found.append(Deviation(f"zero {label}", unit, spread, 0.03, 0, step, reading=reading))
+    encoders = {
+        wheel: [("wheel_speeds", number)] for number, wheel in enumerate(robot.wheel_names)
+    } | {
+        joint: [("arm_angles", number), ("arm_rates", number)]
+        for number, joint in enumerate(robot.joint_names)
+    }
+    for part, readings in encoders.items():
+        found.append(Deviation(f"stuck {part}", "1", 0.02, 1.0, 1, 1.0, stuck=readings))
+        blocked = _friction(f"{name}/{part}_joint", BLOCKED)
+        found.append(Deviation(f"blocked {part}", "1", 0.02, 1.0, 1, 1.0, blocked))
     return found
 
 
@@ -183,9 +197,9 @@ def _grip(robot: str, wheels: Sequence[str]) -> Writer:
     return write
 
 
-def _friction(joint: str) -> Writer:
+def _friction(joint: str, unit: float = 1.0) -> Writer:
     def write(model: mujoco.MjModel, value: float) -> None:
-        model.joint(joint).frictionloss[0] += value
+        model.joint(joint).frictionloss[0] += unit * value
 
     return write
 

@@ -29,6 +29,8 @@ LOST = 10.0
 """Root mean square of all innovations over their deviations, above which a twin is lost."""
 _PATIENCE = 300  # Ticks over which that is averaged.
 _CAPPED = 1.2  # How far beyond it innovations count, so that a twin is not lost within a second.
+LEADING = 1.0
+"""Time constant with which a copy whose sensor sticks is led back to the twin [s]."""
 BEGINNING = 2.0
 """Time in which the twin comes to rest before it begins [s]."""
 
@@ -97,6 +99,10 @@ class Shadow:
         self._steps = round(SERVO_PERIOD / model.opt.timestep)
         self._axes = np.array([model.actuator(f"{robot.name}/{name}").id for name in robot.axes])
         threads = self._config.threads
+        #: Copies whose sensors stick, and of each the encoder that does; -1 for a tachometer.
+        sticks = [(i, dict(each.stuck)) for i, each in enumerate(self.deviations) if each.stuck]
+        self._led = 1 + np.array([i for i, _ in sticks], dtype=np.intp)
+        self._encoders = np.array([each.get("arm_angles", -1) for _, each in sticks], dtype=np.intp)
         self._pool: Any = Rollout(nthread=threads)
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         self.know(np.zeros(len(self.deviations)))
@@ -116,7 +122,7 @@ class Shadow:
             model = copy.copy(self.model)
             deviating(model, self.deviations, row)
             self._models.append(model)
-        self._supply, self._bias = self._outer(rows)
+        self._supply, self._bias, self._stuck = self._outer(rows)
         self._gain = SteadyGain(self._models[0], self._readings, self._config.noise, self._steps)
 
     @property
@@ -169,8 +175,10 @@ class Shadow:
             self._predict(applied)
         expected = self._predict(applied)
         measured = self._readings.measured(seen, before)
+        expected += self._stuck * (self._held - expected)
         innovations = measured - expected
         self._correct(np.nan_to_num(innovations))
+        self._lead(measured[self.channels["arm_angles"]])
         there = innovations[0, ~np.isnan(measured)] / self._gain.sigma[~np.isnan(measured)]
         square = float(there @ there) / max(1, len(there))
         # A number that is none: it was thrown out of the physics.
@@ -184,16 +192,37 @@ class Shadow:
             (expected[1:] - expected[0]) / steps[:, None],
         )
 
-    def _outer(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return volts of each axis at full duty (m, axes), and what readings are off by (m, n)."""
+    def _lead(self, angles: FloatArray) -> None:
+        """Lead back to the twin the copies whose sensors stick, which no reading leads.
+
+        Args:
+            angles: Those of the arm as measured (joints,); NaN for none. One that is another than
+                before has not stuck; a tachometer's noise tells nothing.
+        """
+        held = self._held[self.channels["arm_angles"]]
+        new = np.isfinite(angles) & (angles != held)
+        held[new] = angles[new]
+        shares = np.where(self._encoders < 0, SERVO_PERIOD / LEADING, new[self._encoders])
+        for each in (self._states, self._slopes, self._tilts):
+            each[self._led] += shares[:, None] * (each[0] - each[self._led])
+
+    def _outer(self, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what is outside of the models.
+
+        Returns:
+            Volts of each axis at full duty (m, axes), what readings are off by (m, n), and the
+            share of each that stays (m, n).
+        """
         volts = np.tile(self.model.actuator_ctrlrange[self._axes, 1], (len(rows), 1))
-        bias = np.zeros((len(rows), self._readings.size))
+        bias, stuck = np.zeros((2, len(rows), self._readings.size))
         for column, deviation in zip(rows.T, self.deviations):
             for axis, share in deviation.supply.items():
                 volts[:, self._robot.axes.index(axis)] *= 1.0 - share * column
             for (channel, number), share in deviation.reading.items():
                 bias[:, self._readings.channels[channel].start + number] += share * column
-        return volts, bias
+            for channel, number in deviation.stuck:
+                stuck[:, self._readings.channels[channel].start + number] += column
+        return volts, bias, np.clip(stuck, 0.0, 1.0)
 
     def _begin(self, seen: Observation) -> bool:
         """Set the twin to rest where the robot is measured, and return whether it is."""
@@ -203,6 +232,9 @@ class Shadow:
         drawn = self.model
         places = drawn.key_qpos[0].copy()
         places[self._readings.joints[0]] = seen.arm_angles.value
+        #: What readings are that stick: angles the latest that were new, rates none.
+        self._held: FloatArray = np.zeros(self._readings.size)
+        self._held[self.channels["arm_angles"]] = seen.arm_angles.value
         data = mujoco.MjData(drawn)
         self._slopes[:] = 0.0
         self._tilt_gravity()

@@ -12,7 +12,7 @@ from models.compose import RobotPlacement
 from twin.connect import connect
 from twin.describe import describe_rover
 from twin.loop import run
-from twin.robot import Command
+from twin.robot import ArmMode, Command, WheelMode
 from twin.shadow.deviations import deviating, rover_deviations, shadow_scene
 
 ROBOT = "rover1"
@@ -20,7 +20,7 @@ DEVIATIONS = rover_deviations(describe_rover(ROBOT))
 DRAWN = shadow_scene(RobotPlacement(ROBOT))
 SIZES = {
     "load base": 1.0, "load gripper": 0.1, "spring rear_left": 0.4, "drag front_right": 2.0,
-    "drag elbow": 0.2, "grip rear_right": 0.3, "grip all": 0.5,
+    "drag elbow": 0.2, "grip rear_right": 0.3, "grip all": 0.5, "blocked front_left": 1.0,
 }  # fmt: skip
 
 
@@ -113,11 +113,46 @@ def test_a_zero_that_drifts_is_read(name, channel, number):
     assert read[1] - read[0] == pytest.approx(expected, abs=1e-3)
 
 
+class Reaching:
+    """Turns all joints of the arm, and the wheels."""
+
+    def reset(self):
+        pass
+
+    def step(self, observations):
+        motor = Command(np.full(4, 2.0), np.full(4, 0.5), WheelMode.SPEED, ArmMode.RATE)
+        return dict.fromkeys(observations, motor)
+
+
+@pytest.mark.parametrize("part", ["wrist", "rear_left"])
+def test_what_sticks_reads_the_same_whatever_moves(part):
+    with connect("sim", seed=1) as connection:
+        (robot,) = connection.robots.values()
+        run(connection.robots, [Reaching()], connection.clock, [], 0.3)
+        assert happen(connection.simulation, DRAWN, ROBOT, f"stuck {part}", 1.0) == 1.0
+        rows = []
+
+        def look():
+            seen = robot.observe()
+            rows.append([*seen.arm_angles.value, *seen.arm_rates.value, *seen.wheel_speeds.value])
+            return False
+
+        run(connection.robots, [Reaching()], connection.clock, [], 0.3, look)
+    spans = np.ptp(rows[1:], axis=0)
+    means = np.abs(np.mean(rows[1:], axis=0))
+    if part == "wrist":
+        assert spans[3] == 0.0 and means[7] < 0.01  # noqa: PLR2004
+        assert spans[0] > 0.05 and means[4] > 0.2  # noqa: PLR2004
+    else:
+        assert means[10] < 0.02 and means[9] > 1.0  # noqa: PLR2004
+
+
 def test_what_does_not_happen_is_refused():
     with connect("sim", seed=1) as connection, pytest.raises(ValueError, match="'flat tyre'"):
         happen(connection.simulation, DRAWN, ROBOT, "flat tyre", 1.0)
 
 
-def test_each_of_ten_things_happens_in_two_sizes():
-    names = [name for name, _ in CELLS]
-    assert len(set(names)) == 10 and all(names.count(each) == 2 for each in names)  # noqa: PLR2004
+def test_each_of_twelve_things_happens_in_two_sizes_or_to_two_parts():
+    kinds = [name.partition(" ")[0] for name, _ in CELLS]
+    assert len(CELLS) == 24 and len(set(CELLS)) == 24  # noqa: PLR2004
+    assert sorted({kinds.count(each) for each in set(kinds)}) == [2, 4]

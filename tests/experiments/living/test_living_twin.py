@@ -51,6 +51,13 @@ def test_scores_count_what_was_missed_as_wrong_and_late(tmp_path, monkeypatch):
         assert len(list(csv.DictReader(stream))) == 10  # noqa: PLR2004
 
 
+def test_what_sticks_has_no_size_that_a_band_could_hold(tmp_path, monkeypatch):
+    pairs = [watched("stuck wrist", "stuck wrist", off=9.0), watched()] * 2 + [watched()]
+    found = measured(tmp_path, pairs + [watched("", "")] * 5, monkeypatch)["measured"]
+    assert found["size_coverage95"]["n"] == 3  # noqa: PLR2004
+    assert found["isolation_fraction"]["mean"] == 1.0
+
+
 @pytest.mark.slow
 def test_a_quick_run_measures(tmp_path):
     words = ["living-twin", "--quick", "--jobs", "1", "--seed", "1", "--parts", "changes"]

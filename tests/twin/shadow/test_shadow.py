@@ -148,6 +148,39 @@ def test_its_sensitivities_tell_what_the_robot_deviates_by(name, change, size, n
     assert slopes @ values / (slopes @ slopes) == pytest.approx(size, abs=near)
 
 
+def test_a_copy_whose_encoder_sticks_explains_one_that_sticks():
+    """The elbow's, after six seconds; before, it reads other angles."""
+    stuck = []
+
+    def sticking(seen):
+        if seen.time < 6.0:  # noqa: PLR2004
+            return seen
+        stuck[:] = stuck or [seen.arm_angles.value[2]]
+        angles, rates = seen.arm_angles.value.copy(), seen.arm_rates.value.copy()
+        angles[2], rates[2] = stuck[0], 0.0
+        return seen._replace(
+            arm_angles=seen.arm_angles._replace(value=angles),
+            arm_rates=seen.arm_rates._replace(value=rates),
+        )
+
+    names = ("stuck elbow", "blocked elbow")
+    chosen = [each for each in rover_deviations(DRAWN) if each.name in names]
+    _, found = beside(7.0, chosen, seen=sticking)
+    for part, share in ((found[100:580], 0.0), (found[600:650], 1.0)):
+        values = np.array([each.values / each.sigma for each in part])
+        slopes = np.array([each.sensitivities / each.sigma for each in part])
+        explained = [
+            np.nansum(row * values) / np.nansum(row * row) for row in slopes.swapaxes(0, 1)
+        ]
+        stuck_share, blocked_share = explained
+        assert stuck_share == pytest.approx(share, abs=0.25), explained
+        assert share or abs(blocked_share) < 0.1, explained  # noqa: PLR2004
+    # The arm goes on: what it is felt to do is not that of a joint that is blocked.
+    left = [np.nansum(np.square(values - row)) for row in slopes.swapaxes(0, 1)]
+    assert [each.name for each in chosen] == list(names)
+    assert left[0] < 0.7 * left[1], left  # noqa: PLR2004
+
+
 def test_what_it_knows_it_expects():
     deviations = [each for each in rover_deviations(DRAWN) if each.name == "load gripper"]
     elbow = []
