@@ -14,6 +14,8 @@ from rich.progress import Progress, TextColumn, TimeElapsedColumn
 
 from controllers.motion.teleoperation import Teleoperation
 from controllers.sensing.consequences import Consequence, consequence_of
+from controllers.sensing.diagnosis import Finding
+from controllers.sensing.probing import probe, probes
 from experiments.harness.contract import ExperimentError
 from experiments.harness.figure_style import use_style
 from experiments.harness.live_viewer import LiveViewer
@@ -34,6 +36,7 @@ from twin.robot import Robot, RobotError
 
 SLOWER = 0.5
 """Share of a person's speeds that is left after some changes, until the rover is activated anew."""
+_LET_GO = 0.5  # Time after which a motion that was not asked for again begins anew [s].
 _LOOK = 0.1  # Wall time between two looks at a log that is written [s].
 
 
@@ -203,14 +206,25 @@ class OwnPage(DrivePage):
         super().__init__(server, robot, hand, speed)
         self._robot, self._twin, self._hand = robot, twin, hand
         self.wanted, self._why, self._heeded = False, "", 0
+        self._time, self._begun, self._asked = 0.0, 0.0, -np.inf
 
     def record(self, tick: Tick) -> None:
         """Do also what the changes call for that were named."""
         super().record(tick)
-        named = self._twin.state.named if self._twin.state is not None else ()
-        for each in named[self._heeded :]:
+        self._time = tick.time
+        for each in self._named[self._heeded :]:
             self._heed(each)
-        self._heeded = len(named)
+        self._heeded = len(self._named)
+
+    @property
+    def _named(self) -> Sequence[Named]:
+        return self._twin.state.named if self._twin.state is not None else ()
+
+    @property
+    def _probed(self) -> Finding | None:
+        """The latest change, if a motion tells more of it."""
+        latest = self._named[-1].finding if self._named else None
+        return latest if latest is not None and probes(latest) else None
 
     def _heed(self, named: Named) -> None:
         """Hold still, or go on slower, as a change calls for."""
@@ -222,7 +236,14 @@ class OwnPage(DrivePage):
 
     def take(self, told: Mapping[str, Any]) -> None:
         """Take what a person asked for."""
-        super().take(told)
+        found = self._probed
+        if told.get("identify") and found is not None:
+            if self._time > self._asked + _LET_GO:
+                self._begun = self._time
+            self._asked = self._time
+            self._hand.ask(*probe(found, self._robot.description, self._time - self._begun))
+        else:
+            super().take(told)
         if "activate" in told:
             self.wanted, self._why = bool(told["activate"]), ""
             self._hand.reset()
@@ -241,4 +262,8 @@ class OwnPage(DrivePage):
             said = f"the twin {doing}; innovations {found.surprise:.2f} of what it states"
             named = [str(each) for each in found.named]
         state = self._robot.lifecycle.value
-        return {"active": self.wanted, "lifecycle": state, "why": self._why, "twin": [said, *named]}
+        probed = self._probed.name if self._probed is not None else ""
+        return {
+            "active": self.wanted, "lifecycle": state, "why": self._why, "twin": [said, *named],
+            "identify": probed,
+        }  # fmt: skip

@@ -170,6 +170,34 @@ def test_a_change_slows_the_rover_or_stops_it_until_a_person_activates_it_anew()
         assert np.all(command.wheels > 0.0)
 
 
+def test_a_person_who_holds_on_lets_the_rover_tell_more_of_a_change():
+    twin = Beside()
+    with connect_robot("sim") as connection:
+        (robot,) = connection.robots.values()
+        hand = Teleoperation(robot.description, 0.15)
+        page = OwnPage(NoPage(), robot, hand, 0.15, twin)
+        held = {"identify": True, "drive": [0.0, 0.0], "arm": [0.0] * 4}
+
+        def rates(time, told):
+            seen = robot.observe()._replace(time=time)
+            page.record(Tick(0, time, {robot.name: seen}, {}))
+            page.take(told)
+            return hand.step({robot.name: seen})[robot.name].arm_rates
+
+        assert page.more()["identify"] == "" and np.all(rates(0.0, held) == 0.0)
+        twin.name(Finding("drag elbow", 0.1, 0.01, 9.0))
+        assert page.more()["identify"] == "drag elbow"
+        rates(1.0, held)
+        moved = rates(1.05, held)
+        assert moved[2] > 0.0 and np.all(moved[[0, 1, 3]] == 0.0)
+        assert np.all(rates(1.1, {**held, "identify": False}) == 0.0)
+        # Held again later, it begins anew.
+        assert np.all(rates(3.0, held) == 0.0)
+        assert rates(3.05, held) == pytest.approx(moved)
+        twin.name(Finding(UNKNOWN, 0.0, 0.0, 0.0))
+        assert page.more()["identify"] == ""
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
