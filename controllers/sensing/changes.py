@@ -47,8 +47,9 @@ class Change:
         name: Such as ``load gripper``.
         unit: Unit of its size.
         direction: (k,) what one unit changes of each deviation.
-        spread: How large it may well be, in its unit.
+        spread: How large it may well be, in its unit; about `usual`.
         sign: 1 or -1 for one whose size is above or below zero only; 0 for both.
+        usual: Size that it usually has: 1 of what happens wholly or not at all.
     """
 
     name: str
@@ -56,6 +57,7 @@ class Change:
     direction: FloatArray
     spread: float
     sign: int = 0
+    usual: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -76,7 +78,7 @@ class ChangeConfig:
         offset: Standard deviation of what a reading may be off by for good, in its sigma.
         lags: Blocks over which what a reading is off by may last.
         freedom: Count of blocks that the long-run variance counts for beside those of a window.
-        confirming: Blocks after an alarm until the change is named.
+        confirming: Blocks after an alarm until the change is named, if it is as likely still.
     """
 
     block: int = 25
@@ -222,6 +224,7 @@ class ChangeDetector:
         rows = [each.direction / self._spreads for each in self.changes]
         self._changes = np.array(rows).reshape(len(rows), len(self._spreads))
         self._sizes = np.array([each.spread for each in self.changes])
+        self._usual = np.array([each.usual for each in self.changes])
         self._signs = np.array([each.sign for each in self.changes])
         self.reset()
 
@@ -385,14 +388,16 @@ class ChangeDetector:
             return
         ratios = [window.ratios for window in found]
         self.evidence = np.logaddexp.reduce(ratios, axis=0) - np.log(len(ratios))
-        if self._alarmed < 0 and self.odds > np.log(config.between):
+        likely = self.odds > np.log(config.between)
+        if self._alarmed < 0 and likely:
             self._alarmed = self._seen
         if self._alarmed >= 0 and self._seen >= self._alarmed + config.confirming:
-            yield self._named(found)
+            self._alarmed = -1
+            if likely:
+                yield self._named(found)
 
     def _named(self, windows: Sequence[_Window]) -> Finding:
         """Return the likeliest change, as the window shows it in which it is likeliest."""
-        self._alarmed = -1
         best = int(np.argmax(self.evidence))
         window = max(windows, key=lambda each: float(each.ratios[best]))
         size, sigma = float(window.sizes[best]), float(window.sigmas[best])
@@ -460,9 +465,10 @@ class ChangeDetector:
         precision = np.maximum(precision, _LEAST / self._sizes**2)
         sizes = self._directions @ pull / precision
         within = precision * self._sizes**2
-        ahead = sizes * np.sqrt(precision * within / (1.0 + within))
-        ratios = 0.5 * (ahead**2 - np.log1p(within))
+        off = (sizes - self._usual) ** 2 / (1.0 + within)
+        ratios = 0.5 * (precision * (sizes**2 - off) - np.log1p(within))
         # Of a change of one sign the other half of the sizes counts for nothing.
+        ahead = sizes * np.sqrt(precision * within / (1.0 + within))
         half = np.log(2.0) + scipy.special.log_ndtr(self._signs * ahead)
         ratios += np.where(self._signs == 0, 0.0, half)
         return _Window(ratios, sizes, precision**-0.5)

@@ -1,12 +1,14 @@
 """The twin beside one rover: a shadow, and what its innovations say of changes."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from controllers.sensing.changes import UNKNOWN, Change, ChangeConfig, ChangeDetector, ChangeMemory
 from controllers.sensing.diagnosis import Finding
+from controllers.sensing.foresight import Foresight
 from models.compose import RobotPlacement
 from perception.geometry.arrays import FloatArray
 from twin.connect import ConnectionSettings
@@ -15,8 +17,10 @@ from twin.logs.ticks import RoverTick
 from twin.robot import Command
 from twin.servo import SERVO_PERIOD
 from twin.shadow.deviations import Deviation, rover_deviations, shadow_scene
-from twin.shadow.shadow import Shadow, ShadowConfig
+from twin.shadow.shadow import Innovation, Shadow, ShadowConfig
 
+AHEAD = 1.0
+"""How far the twin predicts [s], once in that time."""
 DRIVING = 0.2
 """Wheel speed above which a rover drives [rad/s]."""
 
@@ -94,6 +98,7 @@ class TwinBeside:
         deviations: Ways in which it may differ.
         blocks: What was found, block by block.
         named: Changes that were named.
+        foresight: What became of its predictions.
 
     Raises:
         ValueError: If there is no twin of such a rover, or the memory is another twin's.
@@ -126,6 +131,12 @@ class TwinBeside:
         self._squares: list[FloatArray] = []
         self.blocks: list[Block] = []
         self.named: list[Named] = []
+        self.foresight = Foresight()
+        self._pause()
+
+    def _pause(self) -> None:
+        """Foresee nothing until the twin has begun."""
+        self._since, self._kind = math.nan, 0
 
     @property
     def memory(self) -> TwinMemory:
@@ -145,16 +156,30 @@ class TwinBeside:
             # What comes next is not of the same motion.
             self._detector.pause()
             self._squares.clear()
+            self._pause()
             return
+        kind = _drives(tick)
         found = self._detector.step(
-            innovation.values, innovation.sigma, innovation.sensitivities, _drives(tick)
+            innovation.values, innovation.sigma, innovation.sensitivities, kind
         )
+        self._foresee(innovation, kind)
         self._squares.append(np.square(innovation.values / innovation.sigma))
         time = self._begin + innovation.time
         if len(self._squares) == self._config.block:
             self._end_block(time)
         if found is not None:
             self._name(found, time)
+
+    def _foresee(self, innovation: Innovation, kind: int) -> None:
+        """Compare what was foreseen with what is measured, and foresee anew, when it is time."""
+        # A rover that drives at all in that time is shaken.
+        self._kind = max(self._kind, kind)
+        if innovation.time - self._since > AHEAD - 0.5 * SERVO_PERIOD:
+            self.foresight.add(innovation.foreseen, self._kind)
+            self._pause()
+        if math.isnan(self._since):
+            self._since, self._kind = innovation.time, kind
+            self.shadow.foresee(self.shadow.known + self._detector.deviations)
 
     def _end_block(self, time: float) -> None:
         rows = np.array(self._squares)
@@ -179,6 +204,7 @@ class TwinBeside:
             self._detector.reset()
             return
         self.shadow.know(self.shadow.known + change.direction * found.size)
+        self._pause()
         self._detector.accept(change, found)
 
 
@@ -197,7 +223,7 @@ def changes_of(deviations: Sequence[Deviation]) -> list[Change]:
     """Return the changes that there may be: of each deviation, and of all motors' supply."""
     rows = np.eye(len(deviations))
     single = [
-        Change(each.name, each.unit, row, each.change, each.sign)
+        Change(each.name, each.unit, row, each.change, each.sign, each.usual)
         for each, row in zip(deviations, rows)
         if each.change > 0.0
     ]

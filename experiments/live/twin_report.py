@@ -169,6 +169,7 @@ def write_report(
     sigma = np.array([each.sigma for each in blocks])
     _plot_deviations(times, learned, sigma, deviations, named, folder)
     rms = [_rms(np.array(row)) for row in zip(*(each.surprise for each in blocks), strict=True)]
+    nees = twin.foresight.nees
     content = {
         "deviations": {
             each.name: {"value": value, "sigma": deviation, "unit": each.unit}
@@ -180,6 +181,7 @@ def write_report(
         ],
         "slope": twin.shadow.slope.tolist(),
         "innovations_over_sigma": dict(zip(CHANNELS, rms, strict=True)),
+        "prediction_nees": float(np.mean(nees)) if nees else None,
         **more,
     }
     (folder / "live.json").write_text(json.dumps(content, indent=1) + "\n")

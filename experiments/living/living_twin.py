@@ -41,6 +41,8 @@ DELAY, RIGHT, COVERED, ALARMS = 3.0, 0.9, 0.9, 1.0  # Bars; the last is of ten h
 WITHIN = stats.norm.ppf(0.5 + CONFIDENCE / 2)
 
 
+NEES = 0.7, 1.5
+"""Bar of the squared errors of predictions one second ahead, over their bands."""
 MISSES = 0.01
 FORESEEN, FALSE_STOPS, TOOK = 0.95, 0.05, 0.5
 """Bars on boards and of looking ahead, whose last is the time that it takes in the median [s]."""
@@ -52,7 +54,8 @@ def run(options: Options, output: Output) -> None:
     Args:
         options: ``quick`` takes one rover, one happening, short times and few motions.
         output: Receives ``detection_delay_s``, ``isolation_fraction`` and ``size_coverage95``, also
-            by cell, ``false_alarms_per_10h`` and ``surprise``; of looking ahead
+            by cell, ``false_alarms_per_10h``, ``surprise`` and
+            ``prediction_nees``; of looking ahead
             ``tip_foreseen_fraction`` and ``false_stop_fraction``, also by kind of motion, and
             ``look_ahead_s``; on boards ``deadline_miss_fraction`` and ``false_alarms_on_boards``.
     """
@@ -217,6 +220,15 @@ def _measure_alarms(results: Sequence[Watched], output: Output) -> None:
     output.measure("watched_hours", hours)
     output.check("false alarms in ten hours", rate, f"<= {ALARMS:g}", rate <= ALARMS)
     output.measure("surprise", distribution(each.surprise for each in results))
+    foreseen = [each.nees for each in results if np.isfinite(each.nees)]
+    if foreseen:
+        nees = distribution(foreseen)
+        output.measure("prediction_nees", nees)
+        low, high = NEES
+        output.check(
+            "predictions within their bands", nees["mean"], f"{low:g} to {high:g}",
+            low <= nees["mean"] <= high,
+        )  # fmt: skip
 
 
 def _table(
@@ -224,12 +236,13 @@ def _table(
 ) -> tuple[list[str], list[list[object]]]:
     columns = [
         "seed", "happening", "size", "true size", "delay [s]", "named", "named size", "sigma",
-        "named before", "watched before [s]", "surprise",
+        "named before", "watched before [s]", "surprise", "prediction nees",
     ]  # fmt: skip
     rows: list[list[object]] = [
         [
             trial.seed, each.name, trial.size, each.size, each.delay, each.found, each.found_size,
             each.sigma, "; ".join(each.alarms), each.seconds, each.surprise,
+            each.nees,
         ]
         for trial, each in zip(trials, results, strict=True)
     ]  # fmt: skip

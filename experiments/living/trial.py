@@ -57,6 +57,8 @@ class Watched:
         alarms: Changes that were named before anything happened.
         seconds: Time for which it was watched before that [s].
         surprise: Root mean square of the innovations over their deviations, in that time.
+        nees: Squared errors of its predictions over their bands, in that time, of which the mean
+            over readings and predictions; NaN without any.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Watched:
     alarms: tuple[str, ...]
     seconds: float
     surprise: float
+    nees: float
 
     @property
     def right(self) -> bool:
@@ -100,6 +103,7 @@ def watch(trial: LivingTrial) -> Watched:
         before = trial.unchanged or float(rng.uniform(0.0, WITHIN))
         _run(connection, work, twin, trial.learning + before)
         early, squares = len(twin.named), [each.surprise for each in twin.blocks]
+        foreseen = list(twin.foresight.nees)
         name, size = _part(trial.happening, twin, rng), 0.0
         if name:
             assert connection.simulation is not None
@@ -109,7 +113,7 @@ def watch(trial: LivingTrial) -> Watched:
     twin.close()
     happened = trial.learning + before
     named = twin.named[early] if len(twin.named) > early else None
-    return _result(name, size, happened, named, twin, early, before, squares)
+    return _result(name, size, happened, named, twin, early, before, squares, foreseen)
 
 
 def _run(
@@ -142,6 +146,7 @@ def _result(
     early: int,
     before: float,
     squares: list[np.ndarray],
+    foreseen: list[float],
 ) -> Watched:
     nothing = float("nan")
     return Watched(
@@ -154,4 +159,5 @@ def _result(
         tuple(each.finding.name for each in twin.named[:early]),
         before,
         float(np.sqrt(np.nanmean(np.square(squares)))),
+        float(np.mean(foreseen)) if foreseen else nothing,
     )

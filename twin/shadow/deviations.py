@@ -35,7 +35,8 @@ class Deviation:
         name: Such as ``spring front_left``.
         unit: Unit of its number.
         spread: Standard deviation among new robots, and so what is known beforehand.
-        change: Standard deviation of what may happen to it later; 0 for what stays as it was made.
+        change: Standard deviation of what may happen to it later, about `usual`; 0 for what stays
+            as it was made.
         sign: 1 or -1 where it can then only grow or fall, as springs only get softer; 0 for both.
         step: Number with which its effect is calculated: large, as wheels lift and slide anew for
             every little difference.
@@ -43,6 +44,7 @@ class Deviation:
         supply: Share of each motor's voltage that is lost by one unit, by name of the axis.
         reading: What one unit adds to readings, by channel and number.
         stuck: Readings that stay as they were, by channel and number: at one unit wholly.
+        usual: What happens to it later is usually of this size: 1 of what happens wholly or not.
     """
 
     name: str
@@ -57,6 +59,7 @@ class Deviation:
         default_factory=dict[tuple[str, int], float]
     )
     stuck: Sequence[tuple[str, int]] = ()
+    usual: float = 0.0
 
 
 def shadow_scene(robot: RobotPlacement) -> mujoco.MjModel:
@@ -138,9 +141,9 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
         for number, joint in enumerate(robot.joint_names)
     }
     for part, readings in encoders.items():
-        found.append(Deviation(f"stuck {part}", "1", 0.02, 1.0, 1, 1.0, stuck=readings))
+        found.append(Deviation(f"stuck {part}", "1", 0.02, 0.2, 0, 1.0, stuck=readings, usual=1.0))
         blocked = _friction(f"{name}/{part}_joint", BLOCKED)
-        found.append(Deviation(f"blocked {part}", "1", 0.02, 1.0, 1, 1.0, blocked))
+        found.append(Deviation(f"blocked {part}", "1", 0.02, 0.2, 0, 1.0, blocked, usual=1.0))
     return found
 
 

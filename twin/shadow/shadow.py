@@ -43,12 +43,14 @@ class Innovation(NamedTuple):
         values: (n,) measured less expected; NaN where nothing new was measured.
         sigma: (n,) their standard deviations, if the robot is as the twin.
         sensitivities: (k, n) change of the expected by one unit of each deviation.
+        foreseen: (n,) measured less what was expected when `Shadow.foresee` was called last.
     """
 
     time: float
     values: FloatArray
     sigma: FloatArray
     sensitivities: FloatArray
+    foreseen: FloatArray
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,7 +71,8 @@ class Shadow:
 
     Beside the twin run copies of it, each with one deviation; all are driven by the same commands
     and corrected by the same gain. So the difference of what two of them expect is what that
-    deviation would do to the twin's innovations, friction that sticks or slides included.
+    deviation would do to the twin's innovations, friction that sticks or slides included. A last
+    copy is corrected by nothing: it foresees.
 
     Args:
         model: The rover as drawn, made by `twin.shadow.deviations.shadow_scene`.
@@ -116,14 +119,24 @@ class Shadow:
         """Give the twin deviations (k,), as they were identified; the state stays."""
         self.known = np.array(values, dtype=float)
         steps = np.diag([each.step for each in self.deviations])
-        rows = np.vstack([self.known, self.known + steps])
-        self._models: list[mujoco.MjModel] = []
-        for row in rows:
-            model = copy.copy(self.model)
-            deviating(model, self.deviations, row)
-            self._models.append(model)
+        rows = np.vstack([self.known, self.known + steps, self.known])
+        self._models = [self._deviating(row) for row in rows]
         self._supply, self._bias, self._stuck = self._outer(rows)
         self._gain = SteadyGain(self._models[0], self._readings, self._config.noise, self._steps)
+
+    def foresee(self, values: FloatArray) -> None:
+        """Begin to predict from where the twin is, with deviations (k,), as the robot has them."""
+        self._models[-1] = self._deviating(values)
+        for each, row in zip((self._supply, self._bias, self._stuck), self._outer(values[None])):
+            each[-1] = row[0]
+        for each in (self._states, self._slopes, self._tilts):
+            each[-1] = each[0]
+        self._tilt_gravity()
+
+    def _deviating(self, values: FloatArray) -> mujoco.MjModel:
+        model = copy.copy(self.model)
+        deviating(model, self.deviations, values)
+        return model
 
     @property
     def slope(self) -> FloatArray:
@@ -189,7 +202,8 @@ class Shadow:
             seen.time,
             innovations[0],
             self._gain.sigma,
-            (expected[1:] - expected[0]) / steps[:, None],
+            (expected[1:-1] - expected[0]) / steps[:, None],
+            innovations[-1],
         )
 
     def _lead(self, angles: FloatArray) -> None:
@@ -273,6 +287,7 @@ class Shadow:
         """Correct all models, and the ground that each believes in, by their innovations (m, n)."""
         freedoms, count = self.model.nv, self.model.nq
         change: FloatArray = innovations @ self._gain.gain.T
+        change[-1] = 0.0
         places = self._states[:, 1 : 1 + count]
         places[:, :3] += change[:, :3]
         places[:, 3:7] = _turned(places[:, 3:7], change[:, 3:6])

@@ -86,6 +86,7 @@ def test_the_robot_is_learned_as_least_squares_learns_it():
 def test_ratio_is_that_of_the_likelihoods_integrated_over_the_size(offset):
     rng = np.random.default_rng(2)
     changes = [dataclasses.replace(each, sign=sign) for sign in (0, 1, -1) for each in CHANGES]
+    changes += [dataclasses.replace(each, usual=0.3 * each.spread) for each in CHANGES]
     config = dataclasses.replace(CONFIG, learning=10**6, offset=offset)
     detector = ChangeDetector(SPREADS, changes, config)
     for tick, (values, slopes) in enumerate(innovations(rng, 200, lambda tick: np.zeros(3))):
@@ -110,7 +111,7 @@ def test_ratio_is_that_of_the_likelihoods_integrated_over_the_size(offset):
 
         def likelihood(size, along=along, change=change, none=none):
             moved = scipy.stats.multivariate_normal.logpdf(off, size * along, covariance)
-            return np.exp(moved - none) * scipy.stats.norm.pdf(size, scale=change.spread)
+            return np.exp(moved - none) * scipy.stats.norm.pdf(size, change.usual, change.spread)
 
         reach = 8.0 * change.spread
         sizes = {0: (-reach, reach), 1: (0.0, reach), -1: (-reach, 0.0)}[change.sign]
@@ -152,6 +153,24 @@ def test_change_is_named_soon_with_its_size(kind, size, config):
         inside += abs(finding.size - size) < 1.96 * finding.sigma
     assert min(delays) > 0 and np.median(delays) <= 100  # noqa: PLR2004
     assert inside >= 3  # Of six 95 % bands; fewer would hold once in ten thousand.
+
+
+def test_what_is_over_before_it_is_confirmed_is_not_named():
+    config = dataclasses.replace(CONFIG, confirming=10)
+    for end, count in ((1230, 0), (2000, 1)):
+        detector = ChangeDetector(SPREADS, CHANGES, config)
+        most, found = -np.inf, 0
+
+        def deviations(tick, end=end):
+            return np.array([4.0, 0.0, 0.0]) * (1200 <= tick < end)  # noqa: PLR2004
+
+        for values, slopes in innovations(np.random.default_rng(9), 2000, deviations):
+            finding = detector.step(values, SIGMA, slopes)
+            most = np.nanmax([most, detector.odds])
+            if finding is not None:
+                found += 1
+                break
+        assert most > np.log(config.between) and found == count
 
 
 def test_what_no_change_explains_is_unknown():

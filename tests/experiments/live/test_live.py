@@ -134,12 +134,12 @@ def test_other_rovers_have_no_twin(other):
         shadow_scene(RobotPlacement(ROBOT, **other))
 
 
-def test_springs_soften_motors_weaken_and_only_zeros_drift_both_ways():
-    signs = {each.name: each.sign for each in changes_of(rover_deviations(describe_rover(ROBOT)))}
+def test_springs_soften_motors_weaken_zeros_drift_both_ways_and_what_sticks_does_so_wholly():
     kinds = {}
-    for name, sign in signs.items():
-        kinds.setdefault(name.split()[0], set()).add(sign)
+    for each in changes_of(rover_deviations(describe_rover(ROBOT))):
+        kinds.setdefault(each.name.split()[0], set()).add((each.sign, each.usual))
     assert kinds == {
-        "load": {1}, "spring": {-1}, "drag": {1}, "grip": {-1}, "supply": {1}, "battery": {1},
-        "zero": {0},
+        "load": {(1, 0.0)}, "spring": {(-1, 0.0)}, "drag": {(1, 0.0)}, "grip": {(-1, 0.0)},
+        "supply": {(1, 0.0)}, "battery": {(1, 0.0)}, "zero": {(0, 0.0)}, "blocked": {(0, 1.0)},
+        "stuck": {(0, 1.0)},
     }  # fmt: skip

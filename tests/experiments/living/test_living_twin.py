@@ -14,7 +14,7 @@ from experiments.living.trial import Watched
 
 
 def watched(name="load base", found="load base", delay=2.0, off=0.0, alarms=()):
-    return Watched(name, 1.0, delay, found, 1.0 + off, 0.1, alarms, 1800.0, 0.5)
+    return Watched(name, 1.0, delay, found, 1.0 + off, 0.1, alarms, 1800.0, 0.5, 1.2)
 
 
 def measured(tmp_path, results, monkeypatch):
@@ -46,6 +46,7 @@ def test_scores_count_what_was_missed_as_wrong_and_late(tmp_path, monkeypatch):
     alarms = found["false_alarms_per_10h"]
     assert alarms["mean"] == pytest.approx(2.0)
     assert (alarms["low"], alarms["high"]) == pytest.approx((2 * 0.0253, 2 * 5.5716), rel=1e-3)
+    assert found["prediction_nees"]["mean"] == pytest.approx(1.2)
     assert stats.poisson.sf(0, alarms["low"] / 2) == pytest.approx(0.025, rel=1e-6)
     with (tmp_path / "living-twin" / "tables" / "watched.csv").open() as stream:
         assert len(list(csv.DictReader(stream))) == 10  # noqa: PLR2004
