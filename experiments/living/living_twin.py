@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
+from rich.progress import track
 from scipy import stats
 
 from experiments.harness.intervals import CONFIDENCE, distribution, error_bars, success_fraction
@@ -16,6 +17,7 @@ from experiments.harness.output import Output
 from experiments.harness.sweep import sweep
 from experiments.living.ahead import KINDS, LIKELY, AheadTrial, Foreseen, foresee
 from experiments.living.boards import OnBoards, watch_boards
+from experiments.living.kills import Killed, kill_often
 from experiments.living.living_twin_options import PARTS, Options
 from experiments.living.trial import LivingTrial, Watched, watch
 
@@ -43,6 +45,8 @@ WITHIN = stats.norm.ppf(0.5 + CONFIDENCE / 2)
 
 NEES = 0.7, 1.5
 """Bar of the squared errors of predictions one second ahead, over their bands."""
+LOST, BACK = 1.0, 10.0
+"""Bars of a program that is killed: what its log lacks, and when it is back [s]."""
 MISSES = 0.01
 FORESEEN, FALSE_STOPS, TOOK = 0.95, 0.05, 0.5
 """Bars on boards and of looking ahead, whose last is the time that it takes in the median [s]."""
@@ -57,9 +61,10 @@ def run(options: Options, output: Output) -> None:
             by cell, ``false_alarms_per_10h``, ``surprise`` and
             ``prediction_nees``; of looking ahead
             ``tip_foreseen_fraction`` and ``false_stop_fraction``, also by kind of motion, and
-            ``look_ahead_s``; on boards ``deadline_miss_fraction`` and ``false_alarms_on_boards``.
+            ``look_ahead_s``; on boards ``deadline_miss_fraction`` and ``false_alarms_on_boards``;
+            of programs that are killed ``kill_lost_s``, ``kill_back_s`` and ``kill_moved``.
     """
-    parts = {"changes": _changes, "ahead": _ahead, "boards": _boards}
+    parts = {"changes": _changes, "ahead": _ahead, "boards": _boards, "kills": _kills}
     for part in options.parts or (QUICK_PARTS if options.quick else PARTS):
         parts[part](options, output)
 
@@ -88,6 +93,33 @@ def _boards(options: Options, output: Output) -> None:
     learning, _, seconds = _seconds(options)
     (seed,) = options.job_seeds(1, 1)[:1]
     measure_boards(watch_boards(seed, learning, seconds), output)
+
+
+def _kills(options: Options, output: Output) -> None:
+    """Kill a program that owns a rover, and look at what is lost and what comes back."""
+    (seed,) = options.job_seeds(1, 1)[:1]
+    count = min(options.kills, 1) if options.quick else options.kills
+    measure_kills(list(track(kill_often(seed, count), "kills", total=count)), output)
+
+
+def measure_kills(found: Sequence[Killed], output: Output) -> None:
+    """Measure what became of programs that were killed.
+
+    Args:
+        found: Of each kill.
+        output: Receives the measures.
+    """
+    lost, back = (distribution(each) for each in zip(*((k.lost, k.back) for k in found)))
+    output.measure("kill_lost_s", lost)
+    output.measure("kill_back_s", back)
+    moved = sum(each.moved for each in found)
+    output.measure("kill_moved", moved)
+    for what, most, bar in (
+        ("lost", max(each.lost for each in found), LOST),
+        ("until it is back", max(each.back for each in found), BACK),
+    ):
+        output.check(f"{what}, most [s]", most, f"<= {bar:g}", most <= bar)
+    output.check("rovers that moved by themselves", moved, "= 0", moved == 0)
 
 
 def measure_boards(result: OnBoards, output: Output) -> None:

@@ -1,0 +1,142 @@
+"""A rover that `live` owns and a person drives, while the program is killed again and again."""
+
+import json
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from websockets.sync.client import connect
+
+from experiments.harness.contract import ExperimentError
+from experiments.living.trial import ROBOT
+from twin.logs.mapping import read_log
+
+LATEST, EARLIEST = 8.0, 0.5
+"""A kill comes within these times of the rover's after it was activated, at random [s]."""
+WATCHED = 1.0
+"""Time of the rover for which nobody asks for anything after a start [s]."""
+_LEARNING = 6.0  # Time for which the twin only learns: some kills come before it is over [s].
+_PATIENCE = 60.0  # Wall time within which a page tells what is waited for [s].
+_STILL = 0.3  # Wheel speed below which a rover stands, with the tachometers' noise [rad/s].
+
+
+class Killed(NamedTuple):
+    """What became of a kill.
+
+    Attributes:
+        lost: Time from the last sample of the log to what the page was told last [s]; below 0 where
+            the log has more.
+        back: Wall time from the next start until its page shows rover and history [s].
+        moved: Whether the rover was active or moved after that, though nobody asked for it.
+    """
+
+    lost: float
+    back: float
+    moved: bool
+
+
+class _Person:
+    """A person at the page of a rover."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def about(self) -> dict[str, Any]:
+        """Return what the page is told next."""
+        while True:
+            told = self._stream.recv(timeout=_PATIENCE)
+            if isinstance(told, str):
+                return json.loads(told)
+
+    def ask(self, **told: object) -> None:
+        self._stream.send(json.dumps(told))
+
+    def until(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """Wait for what the page is to tell, and return it."""
+        end = time.monotonic() + _PATIENCE
+        while not condition(about := self.about()):
+            if time.monotonic() > end:
+                raise ExperimentError(f"after {_PATIENCE:g} s the page still tells {about}")
+        return about
+
+
+def kill_often(seed: int, kills: int) -> Iterator[Killed]:
+    """Own a simulated rover, drive it, and kill the program, a number of times.
+
+    Args:
+        seed: Random seed of the times and of the rover.
+        kills: How often.
+
+    Yields:
+        What became of each kill.
+
+    Raises:
+        ExperimentError: If a page does not come, or does not tell what it should.
+    """
+    rng = np.random.default_rng(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        last = float("nan")
+        for run in range(kills + 1):
+            begun = time.monotonic()
+            with _live(Path(folder), seed) as (process, person):
+                about = person.about()
+                back = time.monotonic() - begun
+                end = about["time"] + WATCHED
+                moved = _moves(about)
+                while about["time"] < end:
+                    about = person.about()
+                    moved = moved or _moves(about)
+                if run:
+                    log = read_log(Path(folder) / f"run-{run:03d}.mcap")
+                    lost = last - float(log.signals[f"{ROBOT}/gyro"].stamps[-1])
+                    yield Killed(lost, back, moved)
+                if run == kills:
+                    process.send_signal(signal.SIGINT)
+                    process.wait(_PATIENCE)
+                    return
+                last = _drive(person, float(rng.uniform(EARLIEST, LATEST)))
+
+
+def _drive(person: _Person, seconds: float) -> float:
+    """Activate the rover and drive it for a while; return the time that the page told last [s]."""
+    person.ask(activate=True)
+    about = person.until(lambda about: about["lifecycle"] == "active")
+    end = about["time"] + seconds
+    while about["time"] < end:
+        turn = float(np.sign(np.sin(3.0 * about["time"])))
+        person.ask(drive=[0.8, 0.0], arm=[turn] * 4)
+        about = person.about()
+    return float(about["time"])
+
+
+@contextmanager
+def _live(folder: Path, seed: int) -> Iterator[tuple[subprocess.Popen[str], _Person]]:
+    """Yield the process of a program that owns a rover, and a person at its page; it is killed."""
+    words = ["live", "--robot", "sim", "--learning", f"{_LEARNING:g}", "--seed", str(seed)]
+    command = [sys.executable, "-m", "experiments", *words, "--out", str(folder)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            page = re.search(r"http://(\S+)/", line)
+            if page is None:
+                raise ExperimentError(f"live began with {line.strip()!r}, and no page")
+            address, origin = page.group(1), page.group().rstrip("/")
+            with connect(f"ws://{address}/stream", origin=origin, max_size=None) as stream:  # type: ignore[arg-type]
+                yield process, _Person(stream)
+        finally:
+            process.kill()
+
+
+def _moves(about: dict[str, Any]) -> bool:
+    """Return whether the rover is active, or its wheels turn."""
+    (speeds,) = (each["values"] for each in about["sensors"] if each["name"] == "wheel_speeds")
+    return about["active"] or about["lifecycle"] == "active" or max(map(abs, speeds)) > _STILL
