@@ -1,6 +1,7 @@
 """A rover that `live` owns and a person drives, while the program is killed again and again."""
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -122,7 +123,9 @@ def _live(folder: Path, seed: int) -> Iterator[tuple[subprocess.Popen[str], _Per
     """Yield the process of a program that owns a rover, and a person at its page; it is killed."""
     words = ["live", "--robot", "sim", "--learning", f"{_LEARNING:g}", "--seed", str(seed)]
     command = [sys.executable, "-m", "experiments", *words, "--out", str(folder)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    # Python's own tracker of shared memory outlives a kill, and warns that it has to clean up.
+    quiet = {**os.environ, "PYTHONWARNINGS": "ignore:resource_tracker"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=quiet) as process:
         try:
             assert process.stdout is not None
             line = process.stdout.readline()

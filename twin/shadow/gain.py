@@ -23,6 +23,7 @@ SMALL = 1e-7  # Step of the finite differences [SI].
 SETTLING = 0.3  # Time in which the base comes to rest under an arm in another posture [s].
 _UNSEEN = (0, 1, 5)  # Degrees of freedom: place on the ground, and heading.
 _FIRST, _NEXT = 40, 8  # Steps towards the steady covariance, at first and for each new posture.
+_WILD = 1e4  # Change of the state within a tick, over that before it, that is no rover's motion.
 _PARTS = 3  # Ticks over which the base comes to rest in a new posture.
 
 
@@ -123,13 +124,22 @@ class SteadyGain:
             self._parts = self._calculated(angles, _PARTS, _NEXT)
 
     def _calculated(self, angles: FloatArray, parts: int, steps: int) -> Iterator[None]:
-        """Calculate the gain in a posture, a part of it for each item."""
-        self._at = angles.copy()
+        """Calculate the gain in a posture, a part of it for each item.
+
+        Where the arm or a wheel is about to touch or to leave something, a small change makes a
+        large one, and the gain stays that of another posture.
+        """
+        first, self._at = self._at is None, angles.copy()
         places = self._model.key_qpos[0].copy()
+        home = places[self._readings.joints[0]]
         places[self._readings.joints[0]] = angles
         yield from settling(self._model, self._data, places, self._readings, SETTLING, parts)
         transition, sensed = self._linearised()
         yield
+        if np.abs(transition).max() > _WILD:
+            if first:
+                yield from self._calculated(home, parts, steps)
+            return
         for _ in range(steps):
             self._advance(transition, sensed)
             yield
@@ -142,7 +152,9 @@ class SteadyGain:
         innovation: FloatArray = sensed @ before @ sensed.T + self._noise
         gain = np.linalg.solve(innovation, sensed @ before).T
         self.gain: FloatArray = np.asarray(gain, dtype=float)
-        after: FloatArray = before - self.gain @ sensed @ before
+        # In Joseph's form, which stays a covariance where a wheel about to lift is linearised.
+        kept = np.eye(len(before)) - self.gain @ sensed
+        after = kept @ before @ kept.T + self.gain @ self._noise @ self.gain.T
         self._covariance: FloatArray = 0.5 * (after + after.T)
         self.sigma: FloatArray = np.sqrt(np.diag(innovation))
 

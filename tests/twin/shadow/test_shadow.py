@@ -12,7 +12,8 @@ from twin.describe import describe_rover
 from twin.loop import LoopRecorder, run
 from twin.robot import MISSING, ArmMode, Command, WheelMode
 from twin.shadow.deviations import rover_deviations, shadow_scene
-from twin.shadow.readings import CHANNELS, apparent_tilt
+from twin.shadow.gain import ShadowNoise, SteadyGain
+from twin.shadow.readings import CHANNELS, Readings, apparent_tilt
 from twin.shadow.shadow import Shadow
 
 ROBOT = "rover1"
@@ -216,6 +217,44 @@ def test_it_foresees_by_what_is_applied_and_by_what_it_is_told():
     for row in errors:
         assert row[301] < 2e-3 and row[401] < 2e-3  # noqa: PLR2004
     assert max(errors[1][302:401]) < 0.2 * max(errors[0][302:401])
+
+
+def followed(gain, angles):
+    for _ in range(100):
+        gain.follow(angles)
+
+
+def test_a_posture_where_a_touch_makes_all_the_difference_leaves_the_gain_as_it_was(monkeypatch):
+    model = shadow_scene(RobotPlacement(ROBOT))
+    readings = Readings(model, DRAWN)
+    home, out = np.asarray(DRAWN.arm.home), np.asarray(DRAWN.arm.home) + [0.3, 0.1, 0.1, 0.0]
+    linearised, wild = SteadyGain._linearised, [False]
+
+    def touching(self):
+        transition, sensed = linearised(self)
+        return transition * (1e17 if wild[0] else 1.0), sensed
+
+    monkeypatch.setattr(SteadyGain, "_linearised", touching)
+    gain, other = (SteadyGain(model, readings, ShadowNoise(), 5) for _ in range(2))
+    gain.follow(home)
+    before = gain.gain.copy()
+    wild[0] = True
+    followed(gain, out)
+    np.testing.assert_array_equal(gain.gain, before)
+    wild[0] = False
+    followed(gain, home + [-0.3, 0.1, 0.1, 0.0])
+    assert np.abs(gain.gain - before).max() > 1e-4  # noqa: PLR2004
+    # One that begins there has the gain of the rest posture.
+    calls = []
+
+    def touching_at_first(self):
+        calls.append(0)
+        transition, sensed = linearised(self)
+        return transition * (1e17 if len(calls) == 1 else 1.0), sensed
+
+    monkeypatch.setattr(SteadyGain, "_linearised", touching_at_first)
+    other.follow(out)
+    np.testing.assert_allclose(other.gain, before, atol=1e-9)
 
 
 def test_it_learns_the_slope_that_it_stands_on():
