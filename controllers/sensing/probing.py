@@ -2,7 +2,7 @@
 
 What was named was seen for seconds. Its size is told better by what moves the part that changed: a
 joint that swings, or wheels that turn the rover to and fro and drive it. Of base, springs and tyres
-turning tells most, as tyres slide then: a thousand times as much as driving straight on does.
+turning tells most, as tyres slide then: far more than driving straight on does.
 """
 
 import math

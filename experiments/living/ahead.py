@@ -70,8 +70,8 @@ class Foreseen:
         asked: (n,) times at which was looked ahead [s].
         chances: (n,) probabilities to tip over within the horizon, as foreseen.
         horizon: How far was looked ahead [s].
-        slope: Of the ground [rad].
-        load: In the gripper [kg].
+        slope: Slope of the ground [rad].
+        load: Mass of the load in the gripper [kg].
         took: Longest time that one look took [s].
     """
 

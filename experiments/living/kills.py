@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from websockets.sync.client import connect
+from websockets.typing import Origin
 
 from experiments.harness.contract import ExperimentError
 from experiments.living.trial import ROBOT
@@ -25,7 +26,7 @@ LATEST, EARLIEST = 8.0, 0.5
 WATCHED = 1.0
 """Time of the rover for which nobody asks for anything after a start [s]."""
 _LEARNING = 6.0  # Time for which the twin only learns: some kills come before it is over [s].
-_PATIENCE = 60.0  # Wall time within which a page tells what is waited for [s].
+_PATIENCE = 120.0  # Wall time within which a page tells what is waited for [s].
 _STILL = 0.3  # Wheel speed below which a rover stands, with the tachometers' noise [rad/s].
 
 
@@ -44,11 +45,25 @@ class Killed(NamedTuple):
     moved: bool
 
 
-class _Person:
-    """A person at the page of a rover."""
+class Person:
+    """At the page of a rover that `live` owns, by the page's own stream.
 
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
+    Args:
+        url: Address of the page.
+    """
+
+    def __init__(self, url: str) -> None:
+        address = url.removeprefix("http://").rstrip("/")
+        origin = Origin(f"http://{address}")
+        self._stream = connect(f"ws://{address}/stream", origin=origin, max_size=None)
+
+    def __enter__(self) -> "Person":
+        """Return this person."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Leave the page."""
+        self._stream.close()
 
     def about(self) -> dict[str, Any]:
         """Return what the page is told next."""
@@ -58,14 +73,27 @@ class _Person:
                 return json.loads(told)
 
     def ask(self, **told: object) -> None:
+        """Tell the rover what is asked for."""
         self._stream.send(json.dumps(told))
 
     def until(self, condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-        """Wait for what the page is to tell, and return it."""
+        """Wait for what the page is to tell, and return it.
+
+        Raises:
+            ExperimentError: If it does not come.
+        """
         end = time.monotonic() + _PATIENCE
         while not condition(about := self.about()):
             if time.monotonic() > end:
                 raise ExperimentError(f"after {_PATIENCE:g} s the page still tells {about}")
+        return about
+
+    def drive(self, seconds: float) -> dict[str, Any]:
+        """Drive ahead and move the arm for some of the rover's time; return what is told then."""
+        begin = self.about()["time"]
+        while (about := self.about())["time"] < begin + seconds:
+            turn = float(np.sign(np.sin(3.0 * about["time"])))
+            self.ask(drive=[0.8, 0.0], arm=[turn] * 4)
         return about
 
 
@@ -103,23 +131,13 @@ def kill_often(seed: int, kills: int) -> Iterator[Killed]:
                     process.send_signal(signal.SIGINT)
                     process.wait(_PATIENCE)
                     return
-                last = _drive(person, float(rng.uniform(EARLIEST, LATEST)))
-
-
-def _drive(person: _Person, seconds: float) -> float:
-    """Activate the rover and drive it for a while; return the time that the page told last [s]."""
-    person.ask(activate=True)
-    about = person.until(lambda about: about["lifecycle"] == "active")
-    end = about["time"] + seconds
-    while about["time"] < end:
-        turn = float(np.sign(np.sin(3.0 * about["time"])))
-        person.ask(drive=[0.8, 0.0], arm=[turn] * 4)
-        about = person.about()
-    return float(about["time"])
+                person.ask(activate=True)
+                person.until(lambda about: about["lifecycle"] == "active")
+                last = float(person.drive(float(rng.uniform(EARLIEST, LATEST)))["time"])
 
 
 @contextmanager
-def _live(folder: Path, seed: int) -> Iterator[tuple[subprocess.Popen[str], _Person]]:
+def _live(folder: Path, seed: int) -> Iterator[tuple[subprocess.Popen[str], Person]]:
     """Yield the process of a program that owns a rover, and a person at its page; it is killed."""
     words = ["live", "--robot", "sim", "--learning", f"{_LEARNING:g}", "--seed", str(seed)]
     command = [sys.executable, "-m", "experiments", *words, "--out", str(folder)]
@@ -129,12 +147,11 @@ def _live(folder: Path, seed: int) -> Iterator[tuple[subprocess.Popen[str], _Per
         try:
             assert process.stdout is not None
             line = process.stdout.readline()
-            page = re.search(r"http://(\S+)/", line)
+            page = re.search(r"http://\S+/", line)
             if page is None:
                 raise ExperimentError(f"live began with {line.strip()!r}, and no page")
-            address, origin = page.group(1), page.group().rstrip("/")
-            with connect(f"ws://{address}/stream", origin=origin, max_size=None) as stream:  # type: ignore[arg-type]
-                yield process, _Person(stream)
+            with Person(page.group()) as person:
+                yield process, person
         finally:
             process.kill()
 

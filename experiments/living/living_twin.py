@@ -41,8 +41,6 @@ QUICK_PARTS = ("changes", "ahead")
 SECONDS = 12.0, 8.0, 2.0  # Of a quick run: learning, and unchanged, also on boards [s].
 DELAY, RIGHT, COVERED, ALARMS = 3.0, 0.9, 0.9, 1.0  # Bars; the last is of ten hours.
 WITHIN = stats.norm.ppf(0.5 + CONFIDENCE / 2)
-
-
 NEES = 0.7, 1.5
 """Bar of the squared errors of predictions one second ahead, over their bands."""
 LOST, BACK = 1.0, 10.0
@@ -106,7 +104,7 @@ def measure_kills(found: Sequence[Killed], output: Output) -> None:
     """Measure what became of programs that were killed.
 
     Args:
-        found: Of each kill.
+        found: What became of each kill.
         output: Receives the measures.
     """
     lost, back = (distribution(each) for each in zip(*((k.lost, k.back) for k in found)))

@@ -3,11 +3,9 @@
 import contextlib
 import json
 import signal
-import time
 
 import numpy as np
 import pytest
-from websockets.sync.client import connect
 
 from controllers.motion.teleoperation import Teleoperation
 from controllers.sensing.changes import UNKNOWN, ChangeMemory
@@ -18,6 +16,7 @@ from experiments.live.live_options import Options
 from experiments.live.twin_beside import Block, Named, TwinMemory
 from experiments.live.twin_folder import EVERY, FOUND, TwinFolder, next_run
 from experiments.live.twin_watch import TwinState
+from experiments.living.kills import Person
 from tests.experiments.live import pages
 from twin.connect import connect as connect_robot
 from twin.logs.mapping import read_log
@@ -25,48 +24,6 @@ from twin.loop import Tick
 
 LEARNING = 6.0
 """Time for which the rover is only learned [s]."""
-
-
-class Person:
-    """At the page of a rover, by the page's own stream."""
-
-    def __init__(self, url):
-        address = url.removeprefix("http://").rstrip("/")
-        origin = f"http://{address}"
-        self._open = contextlib.ExitStack()
-        stream = connect(f"ws://{address}/stream", origin=origin, max_size=None)
-        self._stream = self._open.enter_context(stream)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self._open.close()
-
-    def about(self):
-        """What the page is told next."""
-        while True:
-            told = self._stream.recv()
-            if isinstance(told, str):
-                return json.loads(told)
-
-    def ask(self, **told):
-        self._stream.send(json.dumps(told))
-
-    def until(self, condition, limit=120.0):
-        """Wait for what the page is to tell."""
-        end = time.monotonic() + limit
-        while not condition(about := self.about()):
-            assert time.monotonic() < end, about
-        return about
-
-    def drive(self, seconds):
-        """Drive ahead and move the arm, for some of the rover's time; return the state then."""
-        begin = self.about()["time"]
-        while (about := self.about())["time"] < begin + seconds:
-            turn = float(np.sign(np.sin(3.0 * about["time"])))
-            self.ask(drive=[0.8, 0.0], arm=[turn] * 4)
-        return about
 
 
 def wheel_speeds(about):
@@ -141,12 +98,18 @@ class NoPage:
         return []
 
 
-def test_a_change_slows_the_rover_or_stops_it_until_a_person_activates_it_anew():
+@contextlib.contextmanager
+def paged():
+    """A simulated rover, the hand that it is lent to, its page, and its twin."""
     twin = Beside()
     with connect_robot("sim") as connection:
         (robot,) = connection.robots.values()
         hand = Teleoperation(robot.description, 0.15)
-        page = OwnPage(NoPage(), robot, hand, 0.15, twin)
+        yield robot, hand, OwnPage(NoPage(), robot, hand, 0.15, twin), twin
+
+
+def test_a_change_slows_the_rover_or_stops_it_until_a_person_activates_it_anew():
+    with paged() as (robot, hand, page, twin):
         tick = Tick(0, 0.0, {robot.name: robot.observe()}, {})
         page.record(tick)
         assert hand.pace == 1.0
@@ -171,11 +134,7 @@ def test_a_change_slows_the_rover_or_stops_it_until_a_person_activates_it_anew()
 
 
 def test_a_person_who_holds_on_lets_the_rover_tell_more_of_a_change():
-    twin = Beside()
-    with connect_robot("sim") as connection:
-        (robot,) = connection.robots.values()
-        hand = Teleoperation(robot.description, 0.15)
-        page = OwnPage(NoPage(), robot, hand, 0.15, twin)
+    with paged() as (robot, hand, page, twin):
         held = {"identify": True, "drive": [0.0, 0.0], "arm": [0.0] * 4}
 
         def rates(time, told):
