@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -55,7 +55,9 @@ class Person:
     def __init__(self, url: str) -> None:
         address = url.removeprefix("http://").rstrip("/")
         origin = Origin(f"http://{address}")
-        self._stream = connect(f"ws://{address}/stream", origin=origin, max_size=None)
+        self._open = ExitStack()
+        stream = connect(f"ws://{address}/stream", origin=origin, max_size=None)
+        self._stream = self._open.enter_context(stream)
 
     def __enter__(self) -> "Person":
         """Return this person."""
@@ -63,7 +65,7 @@ class Person:
 
     def __exit__(self, *_: object) -> None:
         """Leave the page."""
-        self._stream.close()
+        self._open.close()
 
     def about(self) -> dict[str, Any]:
         """Return what the page is told next."""
