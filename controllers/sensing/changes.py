@@ -416,8 +416,9 @@ class ChangeDetector:
         window = self._weigh(*told, spared)
         best = int(np.argmax(window.ratios))
         likeliest = self._directions[best] * _FREELY * self._sizes[best]
-        squares, count = self._left_by(blocks, *told, likeliest)
-        without = self._left_by(blocks, *told, np.zeros_like(likeliest))[0].sum() / count.sum()
+        squares, count = self._left_by(blocks, spared, *told, likeliest)
+        none = np.zeros_like(likeliest)
+        without = self._left_by(blocks, spared, *told, none)[0].sum() / count.sum()
         freedom = self._config.freedom
         rough = (freedom + squares) / (freedom + count)
         rough = np.clip(rough, 1.0, _ROUGHEST)
@@ -426,12 +427,18 @@ class ChangeDetector:
         return window._replace(misfit=misfit, without=float(without))
 
     def _left_by(
-        self, blocks: _Blocks, information: FloatArray, score: FloatArray, change: FloatArray
+        self,
+        blocks: _Blocks,
+        spared: FloatArray,
+        information: FloatArray,
+        score: FloatArray,
+        change: FloatArray,
     ) -> tuple[FloatArray, FloatArray]:
         """Return what a change leaves unexplained.
 
         Args:
             blocks: Blocks of a window.
+            spared: Inverse of the covariance before it.
             information: (k + n, k + n) what they tell.
             score: (k + n,) likewise.
             change: (k + n,) its direction, as far as it may go; zeros for none.
@@ -440,7 +447,8 @@ class ChangeDetector:
             (n,) sums of the squares of what each reading is off by still, over their variance, and
             (n,) count of these.
         """
-        prior = np.linalg.inv(self._before_window + np.outer(change, change))
+        along: FloatArray = spared @ change
+        prior = spared - np.outer(along, along) / (1.0 + change @ along)
         mean = self._mean + np.linalg.solve(prior + information, score - information @ self._mean)
         own = np.maximum(self._products[:, 0], _FLOOR)[blocks.kinds]
         left = np.square(blocks.values - blocks.expected(mean)) * blocks.ticks / own
@@ -460,7 +468,7 @@ class ChangeDetector:
         left = np.linalg.solve(information + spared, np.column_stack([information, score]))
         told = information - information @ left[:, :-1]
         pull = score - information @ left[:, -1]
-        precision = np.einsum("hk,kl,hl->h", self._directions, told, self._directions)
+        precision = np.sum(self._directions @ told * self._directions, axis=1)
         # Of what a window hardly tells, rounding is all that would be left.
         precision = np.maximum(precision, _LEAST / self._sizes**2)
         sizes = self._directions @ pull / precision

@@ -105,10 +105,11 @@ class TwinRecording:
     def __init__(self, path: Path, placed: RobotPlacement, twin: TwinBeside) -> None:
         self.path, self._twin, self._step = path, twin, 0
         self._overlay = Overlay(placed, twin)
+        self._kinds: dict[str, list[int]] = {}
+        for place, each in enumerate(twin.deviations):
+            self._kinds.setdefault(each.name.split()[0], []).append(place)
         views = [rrb.TimeSeriesView(name="innovations over sigma", contents="/innovations/**")]
-        views += [
-            rrb.TimeSeriesView(name=kind, contents=f"/deviations/{kind}/**") for kind in KINDS
-        ]
+        views += [rrb.TimeSeriesView(name=kind, contents=f"/deviations/{kind}") for kind in KINDS]
         views += [
             rrb.TimeSeriesView(name="evidence of a change", contents="/evidence"),
             rrb.TextLogView(name="changes", contents="/changes"),
@@ -132,9 +133,9 @@ class TwinRecording:
         """Show what a block of ticks told."""
         for name, value in zip(CHANNELS, block.surprise.tolist(), strict=True):
             self._recorder.log_scalars(f"innovations/{name}", value)
-        for each, value in zip(self._twin.deviations, block.deviations.tolist(), strict=True):
-            kind, _, name = each.name.partition(" ")
-            self._recorder.log_scalars(f"deviations/{kind}/{name.replace(' ', '_')}", value)
+        for kind, places in self._kinds.items():
+            names = [self._twin.deviations[place].name for place in places]
+            self._recorder.log_scalars(f"deviations/{kind}", block.deviations[places], names)
         self._recorder.log_scalars("evidence", block.evidence)
 
     def add_named(self, named: Named) -> None:

@@ -1,7 +1,8 @@
 """Recordings for the rerun viewer: bodies, sensors, commands, images and estimates.
 
 Everything goes to a file, in columns of half a second, so that recording costs little and an
-interrupted run loses half a second at most, unless told otherwise.
+interrupted run loses hardly more, unless told otherwise. They are written a few in each tick, so
+that none takes long.
 ``python -m twin.recording.record screenshot RUN.rrd OUT.png`` makes a picture of one.
 """
 
@@ -49,6 +50,7 @@ _ADVICE = (
 )
 _PNG_END = b"IEND\xaeB`\x82"  # Chunk that ends every PNG file.
 _BODY_RATE = 25.0  # Poses of bodies per second [Hz].
+_AT_ONCE = 4  # Entities whose columns are written in a tick.
 _IMAGE_RATE = 4.0  # Stereo pairs per second, at most [Hz].
 _JPEG = [int(cv2.IMWRITE_JPEG_QUALITY), 60]
 _LONGEST_FLUSH = 30.0  # Wall time [s].
@@ -56,6 +58,7 @@ _BEGINNING = 2**20  # More than the layout and the meshes of a scene take [byte]
 _SLACK = 1e-9
 _POINT = 0.003  # Radius of a point in space [m].
 _MARK = (230, 60, 40)
+_Sample = tuple[int, float, FloatArray]  # Step, time [s] and values.
 
 
 class RecordedScene(Protocol):
@@ -106,8 +109,9 @@ class Recorder(LoopRecorder):
         _check_room(self.path)
         with self._writing():
             self._stream.save(self.path, default_blueprint=layout)
-        # Samples of each curve that are not written yet: step, time and values.
-        self._curves: dict[str, list[tuple[int, float, FloatArray]]] = {}
+        # Samples of each curve that are not written yet, and those that are to be written next.
+        self._curves: dict[str, list[_Sample]] = {}
+        self._due: list[tuple[str, list[_Sample]]] = []
         self._widths: dict[str, int] = {}
         self._step, self._time = 0, 0.0
         self._next_flush = self._next_bodies = -np.inf
@@ -145,7 +149,8 @@ class Recorder(LoopRecorder):
                 self._append(path, np.concatenate(pose))
         if tick.time >= self._next_flush - _SLACK:
             self._next_flush = tick.time + self._period
-            self._write_curves()
+            self._end_columns()
+        self._write(_AT_ONCE)
 
     def log_scalars(
         self, path: str, values: float | Iterable[float], names: Sequence[str] = ()
@@ -254,7 +259,8 @@ class Recorder(LoopRecorder):
             OSError: If it cannot be written, as on a full disk; then what came since is lost.
         """
         with self._writing():
-            self._write_curves()
+            self._end_columns()
+            self._write(len(self._due))
             self._stream.flush(timeout_sec=_LONGEST_FLUSH)
 
     def close(self) -> None:
@@ -320,8 +326,14 @@ class Recorder(LoopRecorder):
         for side, image in zip(("left", "right"), stereo.value):
             self.log_image(f"{robot}/stereo/{side}", np.asarray(image, dtype=np.uint8))
 
-    def _write_curves(self) -> None:
-        for path, samples in self._curves.items():
+    def _end_columns(self) -> None:
+        """Begin new columns; those until now are due."""
+        self._write(len(self._due))
+        self._due, self._curves = list(self._curves.items()), {}
+
+    def _write(self, count: int) -> None:
+        """Write some of the columns that are due."""
+        for path, samples in self._due[:count]:
             steps, times, values = zip(*samples, strict=True)
             index = [
                 rr.TimeColumn("sim_time", duration=times),
@@ -336,7 +348,7 @@ class Recorder(LoopRecorder):
                 columns = rr.Scalars.columns(scalars=rows.ravel())
                 columns = columns.partition([rows.shape[1]] * len(rows))
             self._stream.send_columns(path, index, columns)
-        self._curves.clear()
+        del self._due[:count]
 
     def _now(self) -> list[rr.TimeColumn]:
         # The SDK's own `log` would add wall-clock timelines; a run has its own time only.

@@ -19,6 +19,8 @@ LINKS = ("upper_arm", "forearm", "wrist")
 """Links of the arm that reach out, each along the y axis of its frame."""
 TIME_STEP = 0.002
 """Physics step of a shadow [s], twice the scenes': its errors stay below the sensors' noise."""
+ITERATIONS = 6
+"""Of the solver in each step of a model that is to be fast."""
 BLOCKED = 10.0
 """Friction of what is blocked [N m]; no motor gives 7."""
 _HALF_LOAD = 0.025  # Half size of a load, of which its inertia follows [m].
@@ -91,6 +93,16 @@ def shadow_scene(robot: RobotPlacement) -> mujoco.MjModel:
         load.explicitinertial = True
         load.mass, load.ipos, load.inertia = 1e-9, np.zeros(3), np.full(3, 1e-12)
     return spec.compile()
+
+
+def hasten(model: mujoco.MjModel) -> None:
+    """Let a model step in less time, and always in about the same.
+
+    After a tick rates are within some 0.01 rad/s of what a solver that converges makes of them.
+    """
+    model.opt.solver, model.opt.iterations = mujoco.mjtSolver.mjSOL_PGS, ITERATIONS
+    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
 
 
 def rover_deviations(robot: RobotDescription) -> list[Deviation]:

@@ -19,7 +19,7 @@ from twin.description import RobotDescription
 from twin.prediction.predictor import STATE
 from twin.robot import Command, Observation
 from twin.servo import SERVO_PERIOD
-from twin.shadow.deviations import Deviation, deviating
+from twin.shadow.deviations import Deviation, deviating, hasten
 from twin.shadow.gain import ShadowNoise, SteadyGain, settle
 from twin.shadow.readings import Readings
 
@@ -120,13 +120,17 @@ class Shadow:
         self.known = np.array(values, dtype=float)
         steps = np.diag([each.step for each in self.deviations])
         rows = np.vstack([self.known, self.known + steps, self.known])
-        self._models = [self._deviating(row) for row in rows]
+        self._models = [self._hasty(row) for row in rows]
+        self._gravities = [model.opt.gravity for model in self._models]
         self._supply, self._bias, self._stuck = self._outer(rows)
-        self._gain = SteadyGain(self._models[0], self._readings, self._config.noise, self._steps)
+        self._gain = SteadyGain(
+            self._deviating(self.known), self._readings, self._config.noise, self._steps
+        )
 
     def foresee(self, values: FloatArray) -> None:
         """Begin to predict from where the twin is, with deviations (k,), as the robot has them."""
-        self._models[-1] = self._deviating(values)
+        self._models[-1] = self._hasty(values)
+        self._gravities[-1] = self._models[-1].opt.gravity
         for each, row in zip((self._supply, self._bias, self._stuck), self._outer(values[None])):
             each[-1] = row[0]
         for each in (self._states, self._slopes, self._tilts):
@@ -136,6 +140,11 @@ class Shadow:
     def _deviating(self, values: FloatArray) -> mujoco.MjModel:
         model = copy.copy(self.model)
         deviating(model, self.deviations, values)
+        return model
+
+    def _hasty(self, values: FloatArray) -> mujoco.MjModel:
+        model = self._deviating(values)
+        hasten(model)
         return model
 
     @property
@@ -268,8 +277,8 @@ class Shadow:
         """Turn gravity in each model as its slope has it."""
         pitch, roll = np.sin(self._slopes).T
         down = -np.sqrt(np.maximum(1.0 - pitch**2 - roll**2, 0.0))
-        for model, pull in zip(self._models, GRAVITY * np.column_stack([roll, -pitch, down])):
-            model.opt.gravity[:] = pull
+        for own, pull in zip(self._gravities, GRAVITY * np.column_stack([roll, -pitch, down])):
+            own[:] = pull
 
     def _predict(self, applied: Command) -> FloatArray:
         """Advance all models by a tick, and return what they expect (m, n)."""

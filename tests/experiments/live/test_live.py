@@ -65,7 +65,7 @@ def test_a_load_that_is_taken_is_named_with_its_size(tmp_path, capsys):
         with Image.open(out / name) as picture:
             assert picture.width > 600  # noqa: PLR2004
     names = {chunk.entity_path for chunk in RrdReader(out / "live.rrd").stream()}
-    assert {"/innovations/gyro", "/deviations/load/gripper", "/changes"} <= names
+    assert {"/innovations/gyro", "/deviations/load", "/changes"} <= names
 
 
 def test_a_rover_as_drawn_shows_no_change(tmp_path, capsys):

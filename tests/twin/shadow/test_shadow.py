@@ -11,7 +11,7 @@ from twin.connect import connect
 from twin.describe import describe_rover
 from twin.loop import LoopRecorder, run
 from twin.robot import MISSING, ArmMode, Command, WheelMode
-from twin.shadow.deviations import rover_deviations, shadow_scene
+from twin.shadow.deviations import hasten, rover_deviations, shadow_scene
 from twin.shadow.gain import ShadowNoise, SteadyGain
 from twin.shadow.readings import CHANNELS, Readings, apparent_tilt
 from twin.shadow.shadow import Shadow
@@ -387,3 +387,25 @@ def test_every_deviation_changes_what_is_expected():
         assert largest * abs(deviation.step) > 0.01, deviation.name  # noqa: PLR2004
     assert set(dataclasses.asdict(deviations[0])) >= {"spread", "change", "step"}
     assert len(CHANNELS) == 8  # noqa: PLR2004
+
+
+def test_a_hastened_model_does_what_a_converging_solver_does():
+    exact = shadow_scene(RobotPlacement(ROBOT))
+    hasty = shadow_scene(RobotPlacement(ROBOT))
+    hasten(hasty)
+    one, other = mujoco.MjData(exact), mujoco.MjData(hasty)
+    mujoco.mj_resetDataKeyframe(exact, one, 0)
+    rng, errors, moved = np.random.default_rng(1), [], []
+    axes = [exact.actuator(f"{ROBOT}/{name}").id for name in DRAWN.axes]
+    for _ in range(200):
+        one.ctrl[axes] = exact.actuator_ctrlrange[axes, 1] * rng.uniform(-0.6, 0.6, len(axes))
+        for data in (one, other):
+            data.qpos[:], data.qvel[:], data.ctrl[:] = one.qpos, one.qvel, one.ctrl
+            data.qacc_warmstart[:] = 0.0
+        before = one.qvel.copy()
+        mujoco.mj_step(exact, one, 5)
+        mujoco.mj_step(hasty, other, 5)
+        errors.append(np.abs(other.qvel - one.qvel).max())
+        moved.append(np.abs(one.qvel - before).max())
+    assert np.median(errors) < 0.02
+    assert np.median(errors) < 0.01 * np.median(moved)
