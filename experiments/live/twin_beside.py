@@ -21,8 +21,6 @@ from twin.shadow.shadow import Innovation, Shadow, ShadowConfig
 
 AHEAD = 1.0
 """How far the twin predicts [s], once in that time."""
-DRIVING = 0.2
-"""Wheel speed above which a rover drives [rad/s]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -158,7 +156,7 @@ class TwinBeside:
             self._squares.clear()
             self._pause()
             return
-        kind = _drives(tick)
+        kind = int(innovation.driving)
         found = self._detector.step(
             innovation.values, innovation.sigma, innovation.sensitivities, kind
         )
@@ -229,12 +227,6 @@ def changes_of(deviations: Sequence[Deviation]) -> list[Change]:
     ]
     supply = np.array([float(each.name.startswith("supply")) for each in deviations])
     return [*single, Change("battery", "1", supply, 0.3, 1)]
-
-
-def _drives(tick: RoverTick) -> int:
-    """Return the kind of motion: 1 for a rover whose wheels turn."""
-    speeds = tick.seen.wheel_speeds
-    return int(speeds.usable and np.abs(np.asarray(speeds.value, dtype=float)).max() > DRIVING)
 
 
 def _rms(squares: FloatArray) -> float:

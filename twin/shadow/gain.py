@@ -3,8 +3,9 @@
 The model is linearised about rest on level ground in the arm's present posture, looking along the y
 axis, without dry friction: what sticks there slides in motion. In another posture this is done in
 parts, a part a tick, so that no tick takes long. Its state is a small place and rate
-of each degree of freedom and the slope of the ground. Where a rover stands and which way it looks,
-nothing tells, and nothing corrects.
+of each degree of freedom, the slope of the ground, and its twist: how much more it rolls below one
+half than below the other, which the centre joint follows. Where a rover stands and which way it
+looks, nothing tells, and nothing corrects.
 """
 
 import copy
@@ -42,6 +43,7 @@ class ShadowNoise:
         joints: Change of the arm's rates [rad/s].
         centre: Change of the centre joint's rate [rad/s].
         slope: Change of the ground's slope [rad].
+        twist: Change of its twist [rad].
         readings: What the model of each channel misses, by its name; forces before moments.
             Forces and accelerations are to correct nothing: what a load adds to them for good, the
             state would make up for.
@@ -52,7 +54,8 @@ class ShadowNoise:
     wheels: float = 0.15
     joints: float = 0.08
     centre: float = 0.03
-    slope: float = 2e-4
+    slope: float = 1e-3
+    twist: float = 1e-3
     readings: tuple[tuple[str, tuple[float, ...]], ...] = (
         ("wheel_speeds", (0.05,)),
         ("centre_angle", (0.004,)),
@@ -76,7 +79,7 @@ class SteadyGain:
         posture: Change of a joint from which on the gain is calculated anew [rad].
 
     Attributes:
-        gain: (2 freedoms + 2, n) correction of places, rates and slope by innovations.
+        gain: (2 freedoms + 3, n) correction of places, rates, slope and twist by innovations.
         sigma: (n,) standard deviations of the innovations.
     """
 
@@ -98,14 +101,13 @@ class SteadyGain:
         rates[:3], rates[3:6] = noise.base
         rates[readings.springs], rates[readings.wheels] = noise.springs, noise.wheels
         rates[readings.joints[1]] = noise.joints
-        self._process = np.diag(
-            np.square(np.concatenate([np.full(freedoms, 1e-5), rates, np.full(2, noise.slope)]))
-        )
+        ground = [noise.slope, noise.slope, noise.twist]
+        self._process = np.diag(np.square(np.concatenate([np.full(freedoms, 1e-5), rates, ground])))
         variances = np.square(readings.sigma)
         for (_, values), place in zip(noise.readings, readings.channels.values()):
             variances[place] += np.square(values)
         self._noise = np.diag(variances)
-        self._covariance = np.diag(np.full(2 * freedoms + 2, 1e-4))
+        self._covariance = np.diag(np.full(2 * freedoms + 3, 1e-4))
         self._at: FloatArray | None = None
         self._parts: Iterator[None] = iter(())
 
@@ -163,13 +165,14 @@ class SteadyGain:
         model, data, size = self._model, self._data, 2 * self._model.nv
         one, sensed = np.zeros((size, size)), np.zeros((model.nsensordata, size))
         mujoco.mjd_transitionFD(model, data, SMALL, True, one, None, sensed, None)
-        transition = np.eye(size + 2)
+        transition = np.eye(size + 3)
         transition[:size, :size] = one
         readings = np.hstack(
-            [self._readings.linear(sensed, model.nv), np.zeros((self._readings.size, 2))]
+            [self._readings.linear(sensed, model.nv), np.zeros((self._readings.size, 3))]
         )
         place = self._readings.channels
-        readings[place["inclinometer"], -2:] = np.eye(2)
+        readings[place["inclinometer"], size : size + 2] = np.eye(2)
+        readings[place["centre_angle"], -1] = 1.0
         level = self._felt()
         for column, turn in enumerate(([0.0, -1.0, 0.0], [1.0, 0.0, 0.0])):
             pulled, forces = self._felt(GRAVITY * SMALL * np.array(turn))

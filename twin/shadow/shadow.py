@@ -29,6 +29,12 @@ LOST = 10.0
 """Root mean square of all innovations over their deviations, above which a twin is lost."""
 _PATIENCE = 300  # Ticks over which that is averaged.
 _CAPPED = 1.2  # How far beyond it innovations count, so that a twin is not lost within a second.
+DRIVING = 0.2
+"""Wheel speed above which a rover drives [rad/s]."""
+STANDING = 0.02
+"""Share of its correction by which the ground is corrected below a rover that stands."""
+LINGERING = 0.5
+"""Time after a drive until a rover stands [s]."""
 LEADING = 1.0
 """Time constant with which a copy whose sensor sticks is led back to the twin [s]."""
 BEGINNING = 2.0
@@ -43,6 +49,7 @@ class Innovation(NamedTuple):
         values: (n,) measured less expected; NaN where nothing new was measured.
         sigma: (n,) their standard deviations, if the robot is as the twin.
         sensitivities: (k, n) change of the expected by one unit of each deviation.
+        driving: Whether the rover drives, or did a moment ago.
         foreseen: (n,) measured less what was expected when `Shadow.foresee` was called last.
     """
 
@@ -50,6 +57,7 @@ class Innovation(NamedTuple):
     values: FloatArray
     sigma: FloatArray
     sensitivities: FloatArray
+    driving: bool
     foreseen: FloatArray
 
 
@@ -133,7 +141,7 @@ class Shadow:
         self._gravities[-1] = self._models[-1].opt.gravity
         for each, row in zip((self._supply, self._bias, self._stuck), self._outer(values[None])):
             each[-1] = row[0]
-        for each in (self._states, self._slopes, self._tilts):
+        for each in (self._states, self._grounds, self._tilts):
             each[-1] = each[0]
         self._tilt_gravity()
 
@@ -150,7 +158,7 @@ class Shadow:
     @property
     def slope(self) -> FloatArray:
         """(2,) of the ground where it stands, in pitch and roll [rad]."""
-        right, forward = self._slopes[0, 1], -self._slopes[0, 0]
+        right, forward = self._grounds[0, 1], -self._grounds[0, 0]
         right, forward = _turn(-self._heading) @ [right, forward]
         return np.array([-forward, right])
 
@@ -170,7 +178,8 @@ class Shadow:
     def reset(self) -> None:
         """Begin anew with the next observation."""
         self._before: Observation | None = None
-        self._slopes: FloatArray = np.zeros((len(self._models), 2))
+        #: Slope in pitch and roll, as the world looks, and twist, of each.
+        self._grounds: FloatArray = np.zeros((len(self._models), 3))
         size = mujoco.mj_stateSize(self.model, STATE)
         self._states: FloatArray = np.tile(np.eye(size)[4], (len(self._models), 1))
 
@@ -199,7 +208,10 @@ class Shadow:
         measured = self._readings.measured(seen, before)
         expected += self._stuck * (self._held - expected)
         innovations = measured - expected
-        self._correct(np.nan_to_num(innovations))
+        if seen.wheel_speeds.usable and np.abs(seen.wheel_speeds.value).max() > DRIVING:
+            self._drove = seen.time
+        driving = seen.time - self._drove < LINGERING
+        self._correct(np.nan_to_num(innovations), driving)
         self._lead(measured[self.channels["arm_angles"]])
         there = innovations[0, ~np.isnan(measured)] / self._gain.sigma[~np.isnan(measured)]
         square = float(there @ there) / max(1, len(there))
@@ -212,6 +224,7 @@ class Shadow:
             innovations[0],
             self._gain.sigma,
             (expected[1:-1] - expected[0]) / steps[:, None],
+            driving,
             innovations[-1],
         )
 
@@ -226,7 +239,7 @@ class Shadow:
         new = np.isfinite(angles) & (angles != held)
         held[new] = angles[new]
         shares = np.where(self._encoders < 0, SERVO_PERIOD / LEADING, new[self._encoders])
-        for each in (self._states, self._slopes, self._tilts):
+        for each in (self._states, self._grounds, self._tilts):
             each[self._led] += shares[:, None] * (each[0] - each[self._led])
 
     def _outer(self, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -249,7 +262,7 @@ class Shadow:
 
     def _begin(self, seen: Observation) -> bool:
         """Set the twin to rest where the robot is measured, and return whether it is."""
-        self._missed = 0.0
+        self._missed, self._drove = 0.0, seen.time
         if not (seen.arm_angles.usable and seen.inclinometer.usable):
             return False
         drawn = self.model
@@ -259,7 +272,7 @@ class Shadow:
         self._held: FloatArray = np.zeros(self._readings.size)
         self._held[self.channels["arm_angles"]] = seen.arm_angles.value
         data = mujoco.MjData(drawn)
-        self._slopes[:] = 0.0
+        self._grounds[:] = 0.0
         self._tilt_gravity()
         settle(self._models[0], data, places, self._readings, BEGINNING)
         count = len(self._models)
@@ -268,14 +281,16 @@ class Shadow:
         state[0] = 0.0
         self._states = np.tile(state, (count, 1))
         tilt = np.array([2.0 * data.qpos[4], 2.0 * data.qpos[5]])
-        self._slopes[:] = np.asarray(seen.inclinometer.value, dtype=float) - tilt
-        self._tilts = np.tile(tilt, (count, 1)) + self._slopes
+        self._grounds[:, :2] = np.asarray(seen.inclinometer.value, dtype=float) - tilt
+        if seen.centre_angle.usable:
+            self._grounds[:, 2:] = seen.centre_angle.value - data.qpos[self._readings.centre[:1]]
+        self._tilts = np.tile(tilt, (count, 1)) + self._grounds[:, :2]
         self._tilt_gravity()
         return True
 
     def _tilt_gravity(self) -> None:
         """Turn gravity in each model as its slope has it."""
-        pitch, roll = np.sin(self._slopes).T
+        pitch, roll = np.sin(self._grounds[:, :2]).T
         down = -np.sqrt(np.maximum(1.0 - pitch**2 - roll**2, 0.0))
         for own, pull in zip(self._gravities, GRAVITY * np.column_stack([roll, -pitch, down])):
             own[:] = pull
@@ -290,13 +305,16 @@ class Shadow:
         )
         self._states = states[:, -1].copy()
         self._states[:, 0] = 0.0
-        return self._readings.expect(self._states, sensed, self._tilts) + self._bias
+        expected = self._readings.expect(self._states, sensed, self._tilts) + self._bias
+        expected[:, self.channels["centre_angle"]] += self._grounds[:, 2:]
+        return expected
 
-    def _correct(self, innovations: FloatArray) -> None:
+    def _correct(self, innovations: FloatArray, driving: bool) -> None:
         """Correct all models, and the ground that each believes in, by their innovations (m, n)."""
         freedoms, count = self.model.nv, self.model.nq
         change: FloatArray = innovations @ self._gain.gain.T
         change[-1] = 0.0
+        change[:, 2 * freedoms :] *= 1.0 if driving else STANDING
         places = self._states[:, 1 : 1 + count]
         places[:, :3] += change[:, :3]
         places[:, 3:7] = _turned(places[:, 3:7], change[:, 3:6])
@@ -305,9 +323,9 @@ class Shadow:
         turn = _turn(self._heading)
         change[:, freedoms : freedoms + 2] = change[:, freedoms : freedoms + 2] @ turn.T
         self._states[:, 1 + count :] += change[:, freedoms : 2 * freedoms]
-        pitch, roll = change[:, 2 * freedoms :].T
+        pitch, roll, twist = change[:, 2 * freedoms :].T
         right, forward = turn @ [roll, -pitch]
-        self._slopes += np.column_stack([-forward, right])
+        self._grounds += np.column_stack([-forward, right, twist])
         self._tilt_gravity()
 
 

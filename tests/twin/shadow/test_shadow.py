@@ -134,17 +134,25 @@ def brake(model):
     model.dof_frictionloss[model.joint(f"{ROBOT}/rear_right_joint").dofadr[0]] += 0.3
 
 
+class Swinging(Working):
+    """Swings its arm where it stands: how the ground tilts below a rover that drives, it tells."""
+
+    def step(self, observations):
+        arm = super().step(observations)[ROBOT].arm
+        return {ROBOT: Command(np.zeros(4), arm, WheelMode.SPEED, ArmMode.POSITION)}
+
+
 @pytest.mark.parametrize(
-    ("name", "change", "size", "near"),
+    ("name", "change", "size", "near", "motion"),
     [
-        ("load gripper", add_load, 0.1, 0.01),
-        ("spring front_left", soften, -0.4, 0.15),
-        ("drag rear_right", brake, 0.3, 0.1),
+        ("load gripper", add_load, 0.1, 0.01, Working()),
+        ("spring front_left", soften, -0.4, 0.15, Swinging()),
+        ("drag rear_right", brake, 0.3, 0.1, Working()),
     ],
 )
-def test_its_sensitivities_tell_what_the_robot_deviates_by(name, change, size, near):
+def test_its_sensitivities_tell_what_the_robot_deviates_by(name, change, size, near, motion):
     chosen = [each for each in rover_deviations(DRAWN) if each.name == name]
-    _, found = beside(15.0, chosen, change)
+    _, found = beside(15.0, chosen, change, motion=motion)
     values, slopes = quarters(found, "values").ravel(), quarters(found, "sensitivities").ravel()
     assert slopes @ values / (slopes @ slopes) == pytest.approx(size, abs=near)
 
@@ -409,3 +417,22 @@ def test_a_hastened_model_does_what_a_converging_solver_does():
         moved.append(np.abs(one.qvel - before).max())
     assert np.median(errors) < 0.02
     assert np.median(errors) < 0.01 * np.median(moved)
+
+
+def test_ground_that_twists_below_a_rover_that_drives_is_none_of_its_springs():
+    """The centre joint follows the ground, by ten of its deviations and more."""
+    field = FieldConfig(size=(6.0, 6.0), relief=0.02, texture_pixels=16, seed=4)
+    shadow = Shadow(shadow_scene(RobotPlacement(ROBOT)), DRAWN, ())
+    kept, angles = Beside(shadow), []
+
+    def follows():
+        angles.append(float(connection.simulation.data.joint(f"{ROBOT}/centre_joint").qpos[0]))
+        return False
+
+    with connect("sim", field=field, realism="ideal", seed=4) as connection:
+        run(connection.robots, [Working()], connection.clock, [kept], 15.0, follows)
+    shadow.close()
+    place = shadow.channels["centre_angle"]
+    off = [each.values[place] / each.sigma[place] for each in kept.found]
+    assert np.ptp(angles) > 20 * kept.found[-1].sigma[place][0]
+    assert np.sqrt(np.nanmean(np.square(off))) < 1.0
