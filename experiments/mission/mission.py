@@ -190,12 +190,14 @@ def _measure(results: Results, options: Options, output: Output) -> None:
 
 
 def _measure_contacts(results: Results, output: Output) -> None:
-    touches, fallen = _touches(results), sum(len(result.fallen) for result in results)
-    output.measure("collisions", sum(touches))
-    output.measure("collided_fraction", success_fraction(count > 0 for count in touches))
-    output.measure("tip_overs", fallen)
-    for what, count in (("collisions", sum(touches)), ("rovers tipped over", fallen)):
-        _check(what, count, -math.inf, 0, output)
+    seen = [result for result in results if math.isfinite(result.peak)]  # As simulated ones are.
+    if seen:
+        touches, fallen = _touches(seen), sum(len(result.fallen) for result in seen)
+        output.measure("collisions", sum(touches))
+        output.measure("collided_fraction", success_fraction(count > 0 for count in touches))
+        output.measure("tip_overs", fallen)
+        for what, count in (("collisions", sum(touches)), ("rovers tipped over", fallen)):
+            _check(what, count, -math.inf, 0, output)
     _measure_some("snap_force_n", [r.snap for r in results], output)
     forces = [r.peak for r in results if r.peak > 0.0]
     if forces:

@@ -118,6 +118,15 @@ def test_missions_are_counted_by_what_ended_them(
     assert said[0] in table
 
 
+def test_what_nobody_sees_of_robots_on_boards_is_not_counted_as_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unseen = result(tracks=TRACKS, peak=math.nan, touch=math.nan)
+    found, _, _ = measured(Options(out=tmp_path, seeds=2), [unseen, unseen], monkeypatch)
+    assert not {"collisions", "collided_fraction", "tip_overs"} & set(found)
+    assert found["success_fraction"]["mean"] == 1.0
+
+
 def test_a_run_in_which_no_mission_succeeds_says_where_the_first_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
