@@ -21,8 +21,8 @@ TIME_STEP = 0.002
 """Physics step of a shadow [s], twice the scenes': its errors stay below the sensors' noise."""
 ITERATIONS = 6
 """Of the solver in each step of a model that is to be fast."""
-BLOCKED = 10.0
-"""Friction of what is blocked [N m]; no motor gives 7."""
+BLOCKED = 20.0
+"""Friction of what is blocked [N m]; no motor gives 11."""
 _HALF_LOAD = 0.025  # Half size of a load, of which its inertia follows [m].
 _UNIFORM = 3.0**-0.5  # Standard deviation of what is even within 1 to both sides.
 

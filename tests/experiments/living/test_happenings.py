@@ -73,6 +73,27 @@ class Full:
         return dict.fromkeys(observations, Command(np.full(4, 2 / 3), np.full(4, 2 / 3)))
 
 
+@pytest.mark.parametrize("part", ["front_left", "base_yaw", "shoulder", "elbow", "wrist"])
+def test_what_is_blocked_no_motor_overcomes(part):
+    """Beside the largest duty of every motor, which moves what is not blocked."""
+
+    class Most(Full):
+        def step(self, observations):
+            return dict.fromkeys(observations, Command(np.ones(4), np.ones(4)))
+
+    moved = {}
+    for blocked in (True, False):
+        with connect("sim", seed=1) as connection:
+            simulation = connection.simulation
+            if blocked:
+                happen(simulation, DRAWN, ROBOT, f"blocked {part}", 1.0)
+            place = simulation.data.joint(f"{ROBOT}/{part}_joint")
+            begin = float(place.qpos[0])
+            run(connection.robots, [Most()], connection.clock, duration=0.5)
+            moved[blocked] = abs(float(place.qpos[0]) - begin)
+    assert moved[True] < 0.05 < 0.2 < moved[False], moved  # noqa: PLR2004
+
+
 @pytest.mark.parametrize(("name", "axes"), [("supply wrist", ["wrist"]), ("battery", None)])
 def test_a_motor_that_lost_torque_gets_less_of_its_voltage(name, axes):
     with connect("sim", seed=1) as connection:
