@@ -4,10 +4,12 @@ import mujoco
 import numpy as np
 
 from perception.geometry.arrays import FloatArray
-from twin.shadow.deviations import BLOCKED, DECK
+from twin.shadow.deviations import DECK
 from twin.simulation import Simulation
 
 TILT = ("pitch", "roll")
+BLOCKED = 20.0
+"""Friction of what is blocked [N m]; no motor gives 11."""
 
 
 def happen(

@@ -21,8 +21,11 @@ TIME_STEP = 0.002
 """Physics step of a shadow [s], twice the scenes': its errors stay below the sensors' noise."""
 ITERATIONS = 6
 """Of the solver in each step of a model that is to be fast."""
-BLOCKED = 20.0
-"""Friction of what is blocked [N m]; no motor gives 11."""
+BLOCKING = 1e3
+"""Armature by which a twin holds what is blocked [kg m^2]: so much friction its solver does not."""
+HAPPENED = 0.5
+"""Number from which on what happens wholly or not at all is taken to have happened."""
+_LEAST = 0.05  # Share of a stiffness or a friction that is left at least.
 _HALF_LOAD = 0.025  # Half size of a load, of which its inertia follows [m].
 _UNIFORM = 3.0**-0.5  # Standard deviation of what is even within 1 to both sides.
 
@@ -45,7 +48,8 @@ class Deviation:
         write: Function that gives it to a compiled model.
         supply: Share of each motor's voltage that is lost by one unit, by name of the axis.
         reading: What one unit adds to readings, by channel and number.
-        stuck: Readings that stay as they were, by channel and number: at one unit wholly.
+        encoder: Of what sticks or is blocked the readings of that part, by channel and number.
+        blocked: Joint that is blocked, by its name in the model; empty for what sticks.
         usual: What happens to it later is usually of this size: 1 of what happens wholly or not.
     """
 
@@ -60,8 +64,14 @@ class Deviation:
     reading: Mapping[tuple[str, int], float] = dataclasses.field(
         default_factory=dict[tuple[str, int], float]
     )
-    stuck: Sequence[tuple[str, int]] = ()
+    encoder: Sequence[tuple[str, int]] = ()
+    blocked: str = ""
     usual: float = 0.0
+
+    @property
+    def sticks(self) -> bool:
+        """Whether its encoder reads what it read when it stuck."""
+        return bool(self.encoder) and not self.blocked
 
 
 def shadow_scene(robot: RobotPlacement) -> mujoco.MjModel:
@@ -153,9 +163,11 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
         for number, joint in enumerate(robot.joint_names)
     }
     for part, readings in encoders.items():
-        found.append(Deviation(f"stuck {part}", "1", 0.02, 0.2, 0, 1.0, stuck=readings, usual=1.0))
-        blocked = _friction(f"{name}/{part}_joint", BLOCKED)
-        found.append(Deviation(f"blocked {part}", "1", 0.02, 0.2, 0, 1.0, blocked, usual=1.0))
+        whole = Deviation("", "1", 0.02, 0.2, 0, 1.0, encoder=readings, usual=1.0)
+        found.append(dataclasses.replace(whole, name=f"stuck {part}"))
+        joint = f"{name}/{part}_joint"
+        write = _block(joint)
+        found.append(dataclasses.replace(whole, name=f"blocked {part}", write=write, blocked=joint))
     return found
 
 
@@ -199,7 +211,7 @@ def _load(body: str) -> Writer:
 
 def _factor(kind: str, name: str, what: str) -> Writer:
     def write(model: mujoco.MjModel, value: float) -> None:
-        getattr(getattr(model, kind)(name), what)[0] *= 1.0 + value
+        getattr(getattr(model, kind)(name), what)[0] *= max(1.0 + value, _LEAST)
 
     return write
 
@@ -207,19 +219,33 @@ def _factor(kind: str, name: str, what: str) -> Writer:
 def _grip(robot: str, wheels: Sequence[str]) -> Writer:
     def write(model: mujoco.MjModel, value: float) -> None:
         for wheel in wheels:
-            model.geom(f"{robot}/{wheel}_tyre").friction[0] *= 1.0 + value
+            model.geom(f"{robot}/{wheel}_tyre").friction[0] *= max(1.0 + value, _LEAST)
 
     return write
 
 
-def _friction(joint: str, unit: float = 1.0) -> Writer:
+def _friction(joint: str) -> Writer:
     def write(model: mujoco.MjModel, value: float) -> None:
-        model.joint(joint).frictionloss[0] += unit * value
+        loss = model.joint(joint).frictionloss
+        loss[0] = max(0.0, loss[0] + value)
 
     return write
 
 
-def deviating(model: mujoco.MjModel, deviations: list[Deviation], values: FloatArray) -> None:
+def _block(joint: str) -> Writer:
+    def write(model: mujoco.MjModel, value: float) -> None:
+        model.joint(joint).armature[0] += BLOCKING * value
+
+    return write
+
+
+def happened(deviations: Sequence[Deviation], values: FloatArray) -> FloatArray:
+    """Return deviations (..., n) with what happens wholly or not at all as 0 or 1."""
+    whole = [bool(each.encoder) for each in deviations]
+    return np.where(whole, values >= HAPPENED, values).astype(float)
+
+
+def deviating(model: mujoco.MjModel, deviations: Sequence[Deviation], values: FloatArray) -> None:
     """Write deviations of given sizes (n,) into a model, as far as they are of the model."""
-    for deviation, value in zip(deviations, values.tolist()):
+    for deviation, value in zip(deviations, happened(deviations, values).tolist()):
         deviation.write(model, value)

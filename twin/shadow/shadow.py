@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 from mujoco.rollout import Rollout
+from numpy.typing import NDArray
 
 from perception.geometry.arrays import FloatArray
 from perception.geometry.gravity import GRAVITY
@@ -19,7 +20,7 @@ from twin.description import RobotDescription
 from twin.prediction.predictor import STATE
 from twin.robot import Command, Observation
 from twin.servo import SERVO_PERIOD
-from twin.shadow.deviations import Deviation, deviating, hasten
+from twin.shadow.deviations import Deviation, deviating, happened, hasten
 from twin.shadow.gain import ShadowNoise, SteadyGain, settle
 from twin.shadow.readings import Readings
 
@@ -31,6 +32,12 @@ _PATIENCE = 300  # Ticks over which that is averaged.
 _CAPPED = 1.2  # How far beyond it innovations count, so that a twin is not lost within a second.
 DRIVING = 0.2
 """Wheel speed above which a rover drives [rad/s]."""
+SWINGING = 0.05
+"""Rate above which a joint of the arm swings [rad/s]."""
+MOVING = 10.0
+"""Deviations of a rate's noise above which what it is measured of neither sticks nor is blocked."""
+TELLING = 3.0
+"""Deviations of a reading above which one that sticks, or of what is blocked, tells something."""
 STANDING = 0.02
 """Share of its correction by which the ground is corrected below a rover that stands."""
 LINGERING = 0.5
@@ -50,6 +57,9 @@ class Innovation(NamedTuple):
         sigma: (n,) their standard deviations, if the robot is as the twin.
         sensitivities: (k, n) change of the expected by one unit of each deviation.
         driving: Whether the rover drives, or did a moment ago.
+        swinging: Whether its arm swings, or did a moment ago.
+        refuted: (k,) deviations that cannot be, as the part moves that would stick or be blocked.
+        tried: (m, n) measured less what was expected with the deviations of `Shadow.try_out`.
         foreseen: (n,) measured less what was expected when `Shadow.foresee` was called last.
     """
 
@@ -58,6 +68,9 @@ class Innovation(NamedTuple):
     sigma: FloatArray
     sensitivities: FloatArray
     driving: bool
+    swinging: bool
+    refuted: NDArray[np.bool_]
+    tried: FloatArray
     foreseen: FloatArray
 
 
@@ -79,8 +92,8 @@ class Shadow:
 
     Beside the twin run copies of it, each with one deviation; all are driven by the same commands
     and corrected by the same gain. So the difference of what two of them expect is what that
-    deviation would do to the twin's innovations, friction that sticks or slides included. A last
-    copy is corrected by nothing: it foresees.
+    deviation would do to the twin's innovations, friction that sticks or slides included. Further
+    copies try out deviations of any size. A last one is corrected by nothing: it foresees.
 
     Args:
         model: The rover as drawn, made by `twin.shadow.deviations.shadow_scene`.
@@ -110,13 +123,27 @@ class Shadow:
         self._steps = round(SERVO_PERIOD / model.opt.timestep)
         self._axes = np.array([model.actuator(f"{robot.name}/{name}").id for name in robot.axes])
         threads = self._config.threads
-        #: Copies whose sensors stick, and of each the encoder that does; -1 for a tachometer.
-        sticks = [(i, dict(each.stuck)) for i, each in enumerate(self.deviations) if each.stuck]
-        self._led = 1 + np.array([i for i, _ in sticks], dtype=np.intp)
-        self._encoders = np.array([each.get("arm_angles", -1) for _, each in sticks], dtype=np.intp)
+        count = len(self.deviations)
+        #: (k, n) readings of the encoder of what sticks or is blocked.
+        self._own = np.zeros((count, self._readings.size), dtype=bool)
+        for row, each in zip(self._own, self.deviations):
+            for channel, number in each.encoder:
+                row[self.channels[channel].start + number] = True
+        self._sticking = np.array([each.sticks for each in self.deviations], dtype=bool)
+        #: Of the rates, and of the deviations that block one: which.
+        self._blocking = [
+            (i, int(model.joint(each.blocked).dofadr[0]))
+            for i, each in enumerate(self.deviations)
+            if each.blocked
+        ]
         self._pool: Any = Rollout(nthread=threads)
         self._data = [mujoco.MjData(model) for _ in range(threads)]
-        self.know(np.zeros(len(self.deviations)))
+        size = mujoco.mj_stateSize(model, STATE)
+        self._states: FloatArray = np.eye(size)[4:5]
+        #: Slope in pitch and roll, as the world looks, and twist, of each.
+        self._grounds: FloatArray = np.zeros((1, 3))
+        self._tilts: FloatArray = np.zeros((1, 2))
+        self.know(np.zeros(count))
         self.reset()
 
     def close(self) -> None:
@@ -126,23 +153,44 @@ class Shadow:
     def know(self, values: FloatArray) -> None:
         """Give the twin deviations (k,), as they were identified; the state stays."""
         self.known = np.array(values, dtype=float)
-        steps = np.diag([each.step for each in self.deviations])
-        rows = np.vstack([self.known, self.known + steps, self.known])
-        self._models = [self._hasty(row) for row in rows]
-        self._gravities = [model.opt.gravity for model in self._models]
-        self._supply, self._bias, self._stuck = self._outer(rows)
+        self._units = np.array([each.step for each in self.deviations])
+        rows = np.vstack([self.known, self.known + np.diag(self._units), self.known])
+        self._run(rows, [self._hasty(row) for row in rows])
         self._gain = SteadyGain(
             self._deviating(self.known), self._readings, self._config.noise, self._steps
         )
 
+    def try_out(self, values: FloatArray) -> None:
+        """Let copies with deviations (m, k) run from where the twin is, instead of earlier ones."""
+        usual = 1 + len(self.deviations)
+        rows = np.vstack([self._rows[:usual], values, self._rows[-1:]])
+        tried = [self._hasty(row) for row in values]
+        self._run(rows, [*self._models[:usual], *tried, self._models[-1]])
+
     def foresee(self, values: FloatArray) -> None:
         """Begin to predict from where the twin is, with deviations (k,), as the robot has them."""
-        self._models[-1] = self._hasty(values)
-        self._gravities[-1] = self._models[-1].opt.gravity
-        for each, row in zip((self._supply, self._bias, self._stuck), self._outer(values[None])):
-            each[-1] = row[0]
+        rows = np.vstack([self._rows[:-1], values])
+        self._run(rows, [*self._models[:-1], self._hasty(values)])
         for each in (self._states, self._grounds, self._tilts):
             each[-1] = each[0]
+        self._tilt_gravity()
+
+    def _run(self, rows: FloatArray, models: list[mujoco.MjModel]) -> None:
+        """Run models with deviations (m, k); those beyond the usual ones begin where the twin is.
+
+        Of the usual ones and of the last the states stay.
+        """
+        self._rows, self._models = happened(self.deviations, rows), models
+        self._gravities = [model.opt.gravity for model in models]
+        self._outer()
+        usual = 1 + len(self.deviations)
+        added = len(rows) - usual - 1
+        self._states, self._grounds, self._tilts = (
+            np.vstack([each[:usual], np.tile(each[0], (added, 1)), each[-1:]])
+            if len(each) > usual
+            else np.tile(each[0], (len(rows), 1))
+            for each in (self._states, self._grounds, self._tilts)
+        )
         self._tilt_gravity()
 
     def _deviating(self, values: FloatArray) -> mujoco.MjModel:
@@ -178,10 +226,7 @@ class Shadow:
     def reset(self) -> None:
         """Begin anew with the next observation."""
         self._before: Observation | None = None
-        #: Slope in pitch and roll, as the world looks, and twist, of each.
-        self._grounds: FloatArray = np.zeros((len(self._models), 3))
-        size = mujoco.mj_stateSize(self.model, STATE)
-        self._states: FloatArray = np.tile(np.eye(size)[4], (len(self._models), 1))
+        self._grounds[:] = 0.0
 
     def step(self, seen: Observation, applied: Command) -> Innovation | None:
         """Predict to an observation, and correct the twin by it.
@@ -210,6 +255,8 @@ class Shadow:
         innovations = measured - expected
         if seen.wheel_speeds.usable and np.abs(seen.wheel_speeds.value).max() > DRIVING:
             self._drove = seen.time
+        if seen.arm_rates.usable and np.abs(seen.arm_rates.value).max() > SWINGING:
+            self._swung = seen.time
         driving = seen.time - self._drove < LINGERING
         self._correct(np.nan_to_num(innovations), driving)
         self._lead(measured[self.channels["arm_angles"]])
@@ -218,18 +265,41 @@ class Shadow:
         # A number that is none: it was thrown out of the physics.
         square = min(square, (_CAPPED * LOST) ** 2) if math.isfinite(square) else math.inf
         self._missed += (square - self._missed) / _PATIENCE
-        steps = np.array([each.step for each in self.deviations])
+        usual = 1 + len(self.deviations)
         return Innovation(
             seen.time,
             innovations[0],
             self._gain.sigma,
-            (expected[1:-1] - expected[0]) / steps[:, None],
+            self._effects(expected[1:usual] - expected[0]) / self._units[:, None],
             driving,
+            seen.time - self._swung < LINGERING,
+            self._refuted(measured),
+            innovations[usual:-1],
             innovations[-1],
         )
 
+    def _effects(self, effects: FloatArray) -> FloatArray:
+        """Return effects (k, n) less those of what sticks or is blocked that noise makes, too.
+
+        An arm that rests held by friction creeps in the twin by its encoders' noise; that they
+        stick would explain it.
+        """
+        small = self._own & (np.abs(effects) < TELLING * self._gain.sigma)
+        return np.where(small, 0.0, effects)
+
+    def _refuted(self, measured: FloatArray) -> NDArray[np.bool_]:
+        """Return which deviations (k,) cannot be: their part is measured (n,) to move."""
+        rates = np.zeros(self._readings.size, dtype=bool)
+        for channel in ("wheel_speeds", "arm_rates"):
+            rates[self.channels[channel]] = True
+        moving = rates & (np.abs(np.nan_to_num(measured)) > MOVING * self._readings.sigma)
+        return np.asarray((self._own & moving).any(axis=1))
+
     def _lead(self, angles: FloatArray) -> None:
-        """Lead back to the twin the copies whose sensors stick, which no reading leads.
+        """Lead back to the twin the copies that no reading leads.
+
+        Those are of an encoder that sticks, and of a wheel that is blocked: what it is measured to
+        turn is not taken for its rover's way.
 
         Args:
             angles: Those of the arm as measured (joints,); NaN for none. One that is another than
@@ -238,31 +308,36 @@ class Shadow:
         held = self._held[self.channels["arm_angles"]]
         new = np.isfinite(angles) & (angles != held)
         held[new] = angles[new]
-        shares = np.where(self._encoders < 0, SERVO_PERIOD / LEADING, new[self._encoders])
+        at_once = (self._stuck[:, self.channels["arm_angles"]] * new).any(axis=1)
+        shares = np.where(at_once, 1.0, SERVO_PERIOD / LEADING * self._led)[:-1, None]
         for each in (self._states, self._grounds, self._tilts):
-            each[self._led] += shares[:, None] * (each[0] - each[self._led])
+            each[:-1] += shares * (each[0] - each[:-1])
 
-    def _outer(self, rows: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what is outside of the models.
+    def _outer(self) -> None:
+        """Set what is outside of the models.
 
-        Returns:
-            Volts of each axis at full duty (m, axes), what readings are off by (m, n), and the
-            share of each that stays (m, n).
+        These are volts of each axis at full duty (m, axes), what readings are off by (m, n), which
+        of them stay (m, n), and the models that are led (m,), and whose rates are blocked.
         """
-        volts = np.tile(self.model.actuator_ctrlrange[self._axes, 1], (len(rows), 1))
-        bias, stuck = np.zeros((2, len(rows), self._readings.size))
+        rows, count = self._rows, len(self._rows)
+        self._supply = np.tile(self.model.actuator_ctrlrange[self._axes, 1], (count, 1))
+        self._bias = np.zeros((count, self._readings.size))
         for column, deviation in zip(rows.T, self.deviations):
             for axis, share in deviation.supply.items():
-                volts[:, self._robot.axes.index(axis)] *= 1.0 - share * column
+                left = np.clip(1.0 - share * column, 0.0, None)
+                self._supply[:, self._robot.axes.index(axis)] *= left
             for (channel, number), share in deviation.reading.items():
-                bias[:, self._readings.channels[channel].start + number] += share * column
-            for channel, number in deviation.stuck:
-                stuck[:, self._readings.channels[channel].start + number] += column
-        return volts, bias, np.clip(stuck, 0.0, 1.0)
+                self._bias[:, self.channels[channel].start + number] += share * column
+        self._stuck = np.clip(rows[:, self._sticking] @ self._own[self._sticking], 0.0, 1.0)
+        wheels = self._own[:, self.channels["wheel_speeds"]].any(axis=1)
+        self._led = (rows[:, wheels] > 0.0).any(axis=1)
+        places = [(row, i, freedom) for i, freedom in self._blocking for row in range(count)]
+        held = [(row, freedom) for row, i, freedom in places if rows[row, i] > 0.0]
+        self._blocked = np.array(held, dtype=np.intp).reshape(-1, 2).T
 
     def _begin(self, seen: Observation) -> bool:
         """Set the twin to rest where the robot is measured, and return whether it is."""
-        self._missed, self._drove = 0.0, seen.time
+        self._missed, self._drove, self._swung = 0.0, seen.time, seen.time
         if not (seen.arm_angles.usable and seen.inclinometer.usable):
             return False
         drawn = self.model
@@ -322,7 +397,9 @@ class Shadow:
         # Velocity and slope are the world's, their corrections as the rover looks.
         turn = _turn(self._heading)
         change[:, freedoms : freedoms + 2] = change[:, freedoms : freedoms + 2] @ turn.T
-        self._states[:, 1 + count :] += change[:, freedoms : 2 * freedoms]
+        rates = self._states[:, 1 + count :]
+        rates += change[:, freedoms : 2 * freedoms]
+        rates[self._blocked[0], self._blocked[1]] = 0.0
         pitch, roll, twist = change[:, 2 * freedoms :].T
         right, forward = turn @ [roll, -pitch]
         self._grounds += np.column_stack([-forward, right, twist])

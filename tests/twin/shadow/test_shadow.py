@@ -174,8 +174,8 @@ def test_a_copy_whose_encoder_sticks_explains_one_that_sticks():
 
     names = ("stuck elbow", "blocked elbow")
     chosen = [each for each in rover_deviations(DRAWN) if each.name in names]
-    _, found = beside(7.0, chosen, seen=sticking)
-    for part, share in ((found[100:580], 0.0), (found[600:650], 1.0)):
+    _, found = beside(8.0, chosen, seen=sticking)
+    for part, share in ((found[100:580], 0.0), (found[600:720], 1.0)):
         values = np.array([each.values / each.sigma for each in part])
         slopes = np.array([each.sensitivities / each.sigma for each in part])
         explained = [
@@ -187,7 +187,49 @@ def test_a_copy_whose_encoder_sticks_explains_one_that_sticks():
     # The arm goes on: what it is felt to do is not that of a joint that is blocked.
     left = [np.nansum(np.square(values - row)) for row in slopes.swapaxes(0, 1)]
     assert [each.name for each in chosen] == list(names)
-    assert left[0] < 0.7 * left[1], left  # noqa: PLR2004
+    assert left[0] < left[1] - 2.0 * np.log(1e6), left
+
+
+@pytest.mark.parametrize("slope", [(0.0, 0.0), (0.1, 0.12)])
+def test_copies_with_a_blocked_wheel_stay_with_a_rover_that_turns(slope):
+    """No reading is off by more than the tachometer of a wheel that turns, and one is by that."""
+    chosen = [each for each in rover_deviations(DRAWN) if each.name.startswith("blocked")]
+    shadow, found = beside(25.0, chosen, slope=slope, motion=Turning())
+    speeds = shadow.channels["wheel_speeds"]
+    for row, each in enumerate(chosen[:4]):
+        effects = np.array([one.sensitivities[row] / one.sigma for one in found])
+        assert np.abs(effects).max() == np.abs(effects[:, speeds.start + row]).max(), each.name
+        refuted = np.array([one.refuted[row] for one in found])
+        assert refuted.mean() > 0.8, each.name  # noqa: PLR2004
+
+
+def test_what_is_tried_out_is_what_the_twin_would_miss_if_it_knew_it():
+    """From the same state on, beside a rover that has the load."""
+    deviations = [each for each in rover_deviations(DRAWN) if each.name == "load gripper"]
+    misses = {}
+    for known in (0.0, 0.1):
+        shadow = Shadow(shadow_scene(RobotPlacement(ROBOT)), DRAWN, deviations)
+        shadow.know(np.array([known]))
+
+        class Trying(Beside):
+            def record(self, tick):
+                super().record(tick)
+                if tick.step == 300:  # noqa: PLR2004
+                    self._shadow.try_out(np.array([[0.05], [0.1]]))
+
+        kept = Trying(shadow)
+        field = FieldConfig(size=(6.0, 6.0), texture_pixels=16)
+        with connect("sim", field=field, realism="ideal", seed=4) as connection:
+            add_load(connection.simulation.model)
+            run(connection.robots, [Working()], connection.clock, [kept], 5.0)
+        shadow.close()
+        late = kept.found[400:]
+        misses[known] = np.nanmean([(each.values / each.sigma) ** 2 for each in late])
+        tried = np.nanmean([(each.tried / each.sigma) ** 2 for each in late], axis=(0, 2))
+        assert len(kept.found[250].tried) == 0
+    # The second twin knows all of it, and tries out half of it and the same.
+    assert tried[1] == pytest.approx(misses[0.1], rel=0.1)
+    assert misses[0.1] < 0.5 * tried[0] < 0.3 * misses[0.0]
 
 
 def test_what_it_knows_it_expects():
