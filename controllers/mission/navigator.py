@@ -192,6 +192,7 @@ class Navigator:
         self.partner: Callable[[], FloatArray] = lambda: np.zeros((0, 2))
         self.keep_off: Callable[[], FloatArray] = lambda: np.zeros((0, 3))
         self._steer = steer
+        self._slow = False
         self._localized = 0.0  # Distance by the wheels at which it was localized last [m].
         self._stamp, self._taken = -math.inf, (-math.inf, 0.0)
         self._drive: DrivePath | None = None
@@ -658,6 +659,15 @@ class Navigator:
         if self._drive is None:
             return np.zeros((0, 2))
         return np.vstack([self.place, self._in_frame(self._drive.rest)])
+
+    def slow(self) -> None:
+        """Drive at half the speeds from the next drive on: something of the rover changed."""
+        if not self._slow:
+            usual = self._driving
+            self._driving = dataclasses.replace(
+                usual, speed=0.5 * usual.speed, turn=0.5 * usual.turn
+            )
+        self._slow = True
 
     def halt(self) -> None:
         """End the drive where the rover is."""

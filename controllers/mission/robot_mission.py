@@ -1,16 +1,22 @@
 """One rover's part of a mission: stages in sequence, each using the estimates of earlier ones.
 
-A stage ends when both rovers have completed their parts of it, as far as the radio says so.
+A stage ends when both rovers have completed their parts of it, as far as the radio says so. What a
+twin beside the rover names may slow it, stop it, or let it identify itself anew beforehand.
 """
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from controllers.mission.belief import MissionBelief
 from controllers.mission.map_exchange import MapExchange
 from controllers.mission.radio import MissionRadio
-from controllers.mission.stage import MissionStage
+from controllers.mission.stage import MissionStage, StageError
 from controllers.mission.stages.give_way import GiveWay
+from controllers.mission.stages.identify import SwingArm
 from controllers.mission.stages.insert import InsertCard
+from controllers.sensing.consequences import Consequence, consequence_of, on_springs
+from controllers.sensing.diagnosis import Finding
 from twin.robot import Command, Observation
 
 _MOST_WAYS = 4  # Number of times that a rover gives way.
@@ -25,6 +31,7 @@ class RobotMission:
         radio: The rover's end of the radio.
         number: Number of the rover in its messages, 0 to 255.
         stages: Stages of the rover, each created when the previous one has ended.
+        rng: Random generator for the excitation of an identification anew.
 
     Attributes:
         belief: Estimates of the rover.
@@ -40,6 +47,7 @@ class RobotMission:
         radio: MissionRadio,
         number: int,
         stages: Iterator[MissionStage],
+        rng: np.random.Generator,
     ) -> None:
         self.belief, self.radio = belief, radio
         self.ended: list[str] = []
@@ -48,6 +56,8 @@ class RobotMission:
         self._maps: MapExchange | None = None
         self._gives_way: GiveWay | None = None
         self._ways = 0
+        self._rng = rng
+        self._anew: SwingArm | None = None
         self.stage = next(stages)
 
     @property
@@ -68,15 +78,41 @@ class RobotMission:
         radio.stage = self.stage.name
         radio.begin_tick(seen.time)
         self.belief.partner = radio.partner.slot
-        if self.stage.done and not self.over and self._way is None:
+        if self._done and not self.over and self._way is None:
             self._end_stage()
         if self.stage.name != InsertCard.name:  # From then on the line is for guidance.
             self._exchange_maps(seen.time)
         command = self._command(seen)
         radio.stage = self.stage.name
         radio.blocked = self.belief.navigator.hindered and not self.stage.done
-        radio.tell(len(self.ended) + (self.stage.done and not self.over), self.belief.slot_now)
+        radio.tell(len(self.ended) + (self._done and not self.over), self.belief.slot_now)
         return command
+
+    def told(self, finding: Finding) -> Consequence:
+        """Take a change of the rover that its twin named, and return what it means.
+
+        The rover goes on, drives at half its speeds, or stops. What moves its pitch dynamics lets
+        it swing its arm anew before the next stage.
+
+        Args:
+            finding: A change of those of `twin.shadow.deviations`.
+
+        Raises:
+            StageError: If it cannot go on, with what changed.
+        """
+        consequence, reason = consequence_of(finding, self.belief.robot)
+        if consequence is Consequence.STOP:
+            raise StageError(self.stage.name, reason)
+        if consequence is Consequence.SLOWER:
+            self.belief.navigator.slow()
+        if on_springs(finding) and self.stage.name != InsertCard.name:
+            self._anew = SwingArm(self.belief, self._rng)
+        return consequence
+
+    @property
+    def _done(self) -> bool:
+        """Whether its part of the stage is completed, and it knows itself for the next."""
+        return self.stage.done and self._anew is None
 
     def _command(self, seen: Observation) -> Command | None:
         """Return the command of the stage; a rover that waits may be in the other one's way."""
@@ -90,6 +126,11 @@ class RobotMission:
             return way.step(seen)
         if not called:
             self._gives_way = None
+        if self._anew is not None and self.stage.done and not self.over:
+            command = self._anew.step(seen)
+            if self._anew.done:
+                self._anew = None
+            return command
         return self.stage.step(seen)
 
     @property

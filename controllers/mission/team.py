@@ -79,9 +79,10 @@ class MissionTeam:
         arm = CardArm(roles.slave, site.insertion.tip)
         card = arm.transform_card_to_robot(slave.home)
         guides = _master_stages(master, radios[0], config, guiding, card)
-        self.master = RobotMission(master, radios[0], 1, guides)
+        once_more = rng.spawn(2)
+        self.master = RobotMission(master, radios[0], 1, guides, once_more[0])
         held = _slave_stages(slave, radios[1], config, holding)
-        self.slave = RobotMission(slave, radios[1], 2, held)
+        self.slave = RobotMission(slave, radios[1], 2, held, once_more[1])
 
     def reset(self) -> None:
         """Do nothing: each mission has a new team."""

@@ -16,6 +16,7 @@ rover that drives is shaken as one that stands is not: what is missed of them is
 
 import collections
 import dataclasses
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -23,13 +24,12 @@ import numpy as np
 import scipy.special
 from numpy.typing import NDArray
 
-from controllers.sensing.diagnosis import Finding
+from controllers.sensing.diagnosis import UNKNOWN, Finding
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 
-UNKNOWN = "unknown change"
-KINDS = 2
-"""Kinds of motion whose readings vary apart, as standing and driving."""
+KINDS = 4
+"""Kinds of motion whose readings vary apart: 1 for driving and 2 for swinging the arm, added."""
 _FLOOR = 1e-3  # Least long-run variance of a reading, over what its sigma says.
 _MOST = 6.0  # Deviations for which a single innovation counts at most: stones, knocks.
 _LEAST = 1e-3  # Least information that counts, in what is known beforehand.
@@ -37,6 +37,7 @@ _FREELY = 3.0  # How far a change may go that is fitted, over what it may well b
 _ROUGHEST = 4.0  # Most that a window's variance counts for, over the long-run one.
 _STRANGE = 4.0  # Mean squared deviation above which what the best change leaves counts as much,
 _LITTLE = 0.5  # and its share of what is left without it above which that explains too little.
+_SUSPECTS = 4  # Changes that an alarm suspects.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,6 +51,7 @@ class Change:
         spread: How large it may well be, in its unit; about `usual`.
         sign: 1 or -1 for one whose size is above or below zero only; 0 for both.
         usual: Size that it usually has: 1 of what happens wholly or not at all.
+        most: Largest size, to either side, that there can be.
     """
 
     name: str
@@ -58,6 +60,7 @@ class Change:
     spread: float
     sign: int = 0
     usual: float = 0.0
+    most: float = math.inf
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,21 +81,21 @@ class ChangeConfig:
         offset: Standard deviation of what a reading may be off by for good, in its sigma.
         lags: Blocks over which what a reading is off by may last.
         freedom: Count of blocks that the long-run variance counts for beside those of a window.
-        confirming: Blocks after an alarm until the change is named, if it is as likely still.
+        confirming: Blocks after an alarm until changes are suspected, if they are as likely still.
     """
 
     block: int = 25
     windows: tuple[int, ...] = (2, 3, 4, 5, 6, 8, 11, 16, 23, 32)
     learning: int = 80
     settling: int = 8
-    between: float = 1e9
+    between: float = 30.0
     walk: float = 0.1
     memory: float = 400.0
     forgetting: float = 120.0
     offset: float = 2.0
     lags: int = 8
     freedom: float = 4.0
-    confirming: int = 4
+    confirming: int = 1
 
     def __post_init__(self) -> None:
         """Refuse numbers that could not be meant.
@@ -140,6 +143,7 @@ class _Blocks(NamedTuple):
         slopes: (m, k, n) sensitivities to deviations.
         offsets: (m, n) sensitivities to the reading's own offset.
         kinds: (m,) kinds of motion.
+        refuted: (m, k) deviations that cannot be.
     """
 
     ticks: FloatArray
@@ -147,13 +151,11 @@ class _Blocks(NamedTuple):
     slopes: FloatArray
     offsets: FloatArray
     kinds: NDArray[np.intp]
+    refuted: NDArray[np.bool_]
 
     def last(self, count: int) -> "_Blocks":
         """Return the latest of them."""
-        ticks, values, slopes, offsets, kinds = self
-        return _Blocks(
-            ticks[-count:], values[-count:], slopes[-count:], offsets[-count:], kinds[-count:]
-        )
+        return self._make(rows[-count:] for rows in self)
 
     def expected(self, mean: FloatArray) -> FloatArray:
         """Return the innovations (m, n) by deviations and offsets (k + n,)."""
@@ -202,6 +204,22 @@ class _Window(NamedTuple):
         return self.misfit > max(_STRANGE, _LITTLE * self.without)
 
 
+class Learned(NamedTuple):
+    """What is learned of an unchanged robot, against which changes are tried out.
+
+    Attributes:
+        deviations: (k,) what the robot deviates from the twin by.
+        covariance: (k, k) covariance of these, with what no deviation describes.
+        offsets: (n,) what readings are off by for good, in their sigma.
+        variances: (KINDS, n) long-run variance of each reading, over what its sigma says.
+    """
+
+    deviations: FloatArray
+    covariance: FloatArray
+    offsets: FloatArray
+    variances: FloatArray
+
+
 class ChangeDetector:
     """Looks for changes of one robot.
 
@@ -209,16 +227,24 @@ class ChangeDetector:
         spreads: (k,) standard deviations of the deviations among new robots.
         changes: Changes that there may be.
         config: How they are found; None for the default.
+        walks: (k,) `ChangeConfig.walk` of each deviation, where it is not the same of all.
 
     Attributes:
         evidence: (changes,) logarithm of the ratio of each change at the latest block.
+        suspects: Changes that the latest alarm suspects, the likeliest first.
     """
 
     def __init__(
-        self, spreads: FloatArray, changes: Sequence[Change], config: ChangeConfig | None = None
+        self,
+        spreads: FloatArray,
+        changes: Sequence[Change],
+        config: ChangeConfig | None = None,
+        walks: FloatArray | None = None,
     ) -> None:
         self._config = config or ChangeConfig()
         self._spreads = np.asarray(spreads, dtype=float)
+        usual = np.full(len(self._spreads), self._config.walk)
+        self._walks = usual if walks is None else np.asarray(walks, dtype=float)
         self.changes = list(changes)
         # All inside is in spreads, so that no number is much larger than another.
         rows = [each.direction / self._spreads for each in self.changes]
@@ -230,6 +256,7 @@ class ChangeDetector:
 
     def reset(self) -> None:
         """Forget the robot."""
+        self.suspects: list[Finding] = []
         self._begin(0)
 
     def _begin(self, readings: int) -> None:
@@ -249,7 +276,7 @@ class ChangeDetector:
         #: What the latest blocks of one kind of motion were off by, and which that is.
         self._left: collections.deque[FloatArray] = collections.deque(maxlen=self._config.lags)
         self._last = -1
-        self._ticks: list[tuple[FloatArray, FloatArray, int]] = []
+        self._ticks: list[tuple[FloatArray, FloatArray, int, NDArray[np.bool_]]] = []
         self._recent: collections.deque[_Blocks] = collections.deque()
         self._looking: Iterator[Finding | None] = iter(())
         self._seen, self._alarmed = 0, -1
@@ -270,11 +297,15 @@ class ChangeDetector:
         """Go on where a detector of the same deviations had come to.
 
         Raises:
-            ValueError: If it has others.
+            ValueError: If it has others, or knew other kinds of motion.
         """
         readings = len(memory.mean) - len(self._spreads)
-        if memory.products.shape != (KINDS, self._config.lags + 1, readings):
-            raise ValueError(f"expected {len(self._spreads)} deviations, got {len(memory.mean)}")
+        expected = KINDS, self._config.lags + 1, readings
+        if memory.products.shape != expected:
+            raise ValueError(
+                f"what was learned has numbers {memory.products.shape} of {len(memory.mean)} "
+                f"deviations and readings, expected {expected}: begin anew"
+            )
         self._begin(readings)
         self._mean, self._covariance = memory.mean, memory.covariance
         self._products, self._learned = memory.products.copy(), memory.learned.copy()
@@ -289,7 +320,7 @@ class ChangeDetector:
     def covariance(self) -> FloatArray:
         """(k, k) covariance of these, with what no deviation describes."""
         count = len(self._spreads)
-        own = self._covariance[:count, :count] + self._config.walk**2 * np.eye(count)
+        own = self._covariance[:count, :count] + np.diag(self._walks**2)
         return own * np.outer(self._spreads, self._spreads)
 
     @property
@@ -299,8 +330,19 @@ class ChangeDetector:
             return float("nan")
         return float(np.logaddexp.reduce(self.evidence) - np.log(len(self.changes)))
 
+    @property
+    def learned(self) -> Learned:
+        """What is learned of the robot so far."""
+        offsets = self._mean[len(self._spreads) :] * self._config.offset
+        return Learned(self.deviations, self.covariance, offsets, self._variances)
+
     def step(
-        self, values: FloatArray, sigma: FloatArray, sensitivities: FloatArray, kind: int = 0
+        self,
+        values: FloatArray,
+        sigma: FloatArray,
+        sensitivities: FloatArray,
+        kind: int = 0,
+        refuted: NDArray[np.bool_] | None = None,
     ) -> Finding | None:
         """Take the innovations of a tick.
 
@@ -309,16 +351,19 @@ class ChangeDetector:
             sigma: (n,) standard deviations of the readings.
             sensitivities: (k, n) change of the expected by one unit of each deviation.
             kind: Kind of motion, below `KINDS`.
+            refuted: (k,) deviations that cannot be; None for none.
 
         Returns:
-            A change, once it is named. That is some ticks after the block that shows it, as each
-            tick looks at one window only.
+            The likeliest change, once there is one. That is some ticks after the block that shows
+            it, as each tick looks at one window only.
         """
         finding = next(self._looking, None)
         # What is far beyond its noise counts for less, and with it what would explain it.
         counted = 1.0 / np.maximum(sigma, np.abs(np.nan_to_num(values)) / _MOST)
         slopes = self._spreads[:, None] * sensitivities * counted
-        self._ticks.append((values * counted, slopes, kind))
+        if refuted is None:
+            refuted = np.zeros(len(self._spreads), dtype=bool)
+        self._ticks.append((values * counted, slopes, kind, refuted))
         if len(self._ticks) < self._config.block or finding is not None:
             return finding
         block, self._ticks = _averaged(self._ticks, self._config.offset), []
@@ -394,15 +439,17 @@ class ChangeDetector:
         if self._alarmed >= 0 and self._seen >= self._alarmed + config.confirming:
             self._alarmed = -1
             if likely:
-                yield self._named(found)
+                order = np.argsort(-self.evidence)[:_SUSPECTS]
+                pairs = [self._suspected(found, int(each)) for each in order]
+                self.suspects = [finding for finding, _ in pairs]
+                best, window = pairs[0]
+                yield dataclasses.replace(best, name=UNKNOWN) if window.strange else best
 
-    def _named(self, windows: Sequence[_Window]) -> Finding:
-        """Return the likeliest change, as the window shows it in which it is likeliest."""
-        best = int(np.argmax(self.evidence))
-        window = max(windows, key=lambda each: float(each.ratios[best]))
-        size, sigma = float(window.sizes[best]), float(window.sigmas[best])
-        name = UNKNOWN if window.strange else self.changes[best].name
-        return Finding(name, size, sigma, abs(size / sigma))
+    def _suspected(self, windows: Sequence[_Window], change: int) -> tuple[Finding, _Window]:
+        """Return a change as the window shows it in which it is likeliest, and that window."""
+        window = max(windows, key=lambda each: float(each.ratios[change]))
+        size, sigma = float(window.sizes[change]), float(window.sigmas[change])
+        return Finding(self.changes[change].name, size, sigma, abs(size / sigma)), window
 
     def _compare(self, blocks: _Blocks, spared: FloatArray) -> _Window:
         """Return what the latest blocks say of each change.
@@ -424,7 +471,9 @@ class ChangeDetector:
         rough = np.clip(rough, 1.0, _ROUGHEST)
         misfit = float(squares.sum() / count.sum())
         window = self._weigh(*blocks.weighed(variances * rough), spared)
-        return window._replace(misfit=misfit, without=float(without))
+        cannot = np.abs(self._changes) @ blocks.refuted.any(axis=0) > 0.0
+        ratios = np.where(cannot, -np.inf, window.ratios)
+        return window._replace(ratios=ratios, misfit=misfit, without=float(without))
 
     def _left_by(
         self,
@@ -458,7 +507,7 @@ class ChangeDetector:
     def _before_window(self) -> FloatArray:
         """Covariance of deviations and offsets before a window, with what none describes."""
         walk = np.zeros(len(self._covariance))
-        walk[: len(self._spreads)] = self._config.walk
+        walk[: len(self._spreads)] = self._walks
         return self._covariance + np.diag(walk**2)
 
     def _weigh(self, information: FloatArray, score: FloatArray, spared: FloatArray) -> _Window:
@@ -487,10 +536,14 @@ def _joined(blocks: Iterable[_Blocks]) -> _Blocks:
     return _Blocks(*(np.concatenate(rows) for rows in zip(*blocks)))
 
 
-def _averaged(ticks: Sequence[tuple[FloatArray, FloatArray, int]], offset: float) -> _Blocks:
+def _averaged(
+    ticks: Sequence[tuple[FloatArray, FloatArray, int, NDArray[np.bool_]]], offset: float
+) -> _Blocks:
     """Return the means of some ticks as one block."""
-    values = np.array([each for each, _, _ in ticks])
-    slopes = np.array([each for _, each, _ in ticks])
+    values = np.array([each for each, _, _, _ in ticks])
+    slopes = np.array([each for _, each, _, _ in ticks])
+    kinds = [kind for _, _, kind, _ in ticks]
+    refuted = np.array([each for _, _, _, each in ticks], dtype=bool)
     there = np.isfinite(values)
     count = there.sum(axis=0).astype(float)
     over = np.maximum(count, 1.0)
@@ -501,5 +554,6 @@ def _averaged(ticks: Sequence[tuple[FloatArray, FloatArray, int]], offset: float
         mean[None],
         np.where(count > 0, offset, 0.0)[None],
         # A block in which the rover drives at all is shaken.
-        np.array([max(kind for _, _, kind in ticks)]),
+        np.array([np.bitwise_or.reduce(kinds)]),
+        np.any(refuted, axis=0, keepdims=True),
     )

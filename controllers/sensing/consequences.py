@@ -5,8 +5,7 @@ import enum
 
 import numpy as np
 
-from controllers.sensing.changes import UNKNOWN
-from controllers.sensing.diagnosis import Finding
+from controllers.sensing.diagnosis import UNKNOWN, Finding
 from perception.geometry.gravity import GRAVITY
 from twin.description import RobotDescription
 
@@ -91,6 +90,11 @@ def consequence_of(
     if share >= stop:
         return Consequence.STOP, what
     return (Consequence.SLOWER if share >= slower else Consequence.GO_ON), what
+
+
+def on_springs(finding: Finding) -> bool:
+    """Return whether a change moves how the rover pitches on its springs under its arm."""
+    return finding.name.partition(" ")[0] in ("load", "spring")
 
 
 def robot_mass(robot: RobotDescription) -> float:

@@ -19,6 +19,8 @@ from twin.description import RobotDescription
 _HEAVIER, _SOFTER = np.eye(5)[0], -np.eye(5)[4]  # of log inertia and of log stiffness
 _FEWEST = 3  # Wheels that one can be compared among.
 _LOWEST_OF_FOUR = 1.0  # Deviations by which the lowest of four alike usually lags, about.
+UNKNOWN = "unknown change"
+"""Name of a change that is none of those that there may be."""
 NOTICED = 2.6
 """Deviations from unchanged robots from which on a change is named: by chance one in 200 lies
 beyond."""

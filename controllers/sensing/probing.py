@@ -11,8 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controllers.sensing.changes import UNKNOWN
-from controllers.sensing.diagnosis import Finding
+from controllers.sensing.diagnosis import UNKNOWN, Finding
 from twin.description import RobotDescription
 
 PERIOD = 4.0

@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from controllers.sensing.changes import UNKNOWN, Change, ChangeConfig, ChangeDetector, ChangeMemory
-from controllers.sensing.diagnosis import Finding
+from controllers.sensing.changes import Change, ChangeConfig, ChangeDetector, ChangeMemory
+from controllers.sensing.diagnosis import UNKNOWN, Finding
 from controllers.sensing.foresight import Foresight
+from controllers.sensing.jumps import ZeroJumps
+from controllers.sensing.trial import Trial
 from models.compose import RobotPlacement
 from perception.geometry.arrays import FloatArray
 from twin.connect import ConnectionSettings
@@ -16,11 +18,13 @@ from twin.describe import describe_rover
 from twin.logs.ticks import RoverTick
 from twin.robot import Command
 from twin.servo import SERVO_PERIOD
-from twin.shadow.deviations import Deviation, rover_deviations, shadow_scene
+from twin.shadow.deviations import WEAKEST, Deviation, rover_deviations, shadow_scene
 from twin.shadow.shadow import Innovation, Shadow, ShadowConfig
 
 AHEAD = 1.0
 """How far the twin predicts [s], once in that time."""
+PATCHES = 0.25
+"""How far friction below a wheel wanders on ground with patches, as a share of the drawing's."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -89,6 +93,7 @@ class TwinBeside:
         begin: Time of the rover's own zero [s].
         memory: What is known of it already; None for nothing.
         threads: Count of threads that share its models.
+        patches: Whether the ground has patches of friction, on which less grip is no change.
 
     Attributes:
         drawn: The rover as drawn.
@@ -109,6 +114,7 @@ class TwinBeside:
         begin: float = 0.0,
         memory: TwinMemory | None = None,
         threads: int = 2,
+        patches: bool = False,
     ) -> None:
         self.drawn = describe_rover(placed.name, card=placed.card, mast=placed.mast)
         self.deviations = rover_deviations(self.drawn)
@@ -116,9 +122,19 @@ class TwinBeside:
         self.shadow = Shadow(shadow_scene(placed), self.drawn, self.deviations, config)
         usual, ticks = ChangeConfig(), round(learning / SERVO_PERIOD)
         self._config = dataclasses.replace(usual, learning=max(1, ticks // usual.block))
-        self._changes = changes_of(self.deviations)
         spreads = np.array([each.spread for each in self.deviations])
-        self._detector = ChangeDetector(spreads, self._changes, self._config)
+        wander = np.array([patches and each.name.startswith("grip") for each in self.deviations])
+        walks = np.where(wander, PATCHES / spreads, usual.walk)
+        self._changes = changes_of(
+            [dataclasses.replace(each, change=0.0) if fixed else each
+             for each, fixed in zip(self.deviations, wander)]
+        )  # fmt: skip
+        self._by_name = {each.name: each for each in self._changes}
+        self._detector = ChangeDetector(spreads, self._changes, self._config, walks)
+        noise, at = self.shadow.noise, self.shadow.channels
+        angle, rate = (float(noise[at[name]].max()) for name in ("arm_angles", "arm_rates"))
+        self._jumps = ZeroJumps(angle, rate)
+        self._trial: Trial | None = None
         if memory is not None:
             if memory.names != tuple(each.name for each in self.deviations):
                 raise ValueError(f"{placed.name}: what is known is of a twin with other deviations")
@@ -153,25 +169,76 @@ class TwinBeside:
         if innovation is None:
             # What comes next is not of the same motion.
             self._detector.pause()
+            self._end_trial()
+            self._jumps.reset()
             self._squares.clear()
             self._pause()
             return
-        kind = int(innovation.driving)
-        found = self._detector.step(
-            innovation.values, innovation.sigma, innovation.sensitivities, kind
-        )
+        kind = innovation.driving + 2 * innovation.swinging
         self._foresee(innovation, kind)
         self._squares.append(np.square(innovation.values / innovation.sigma))
         time = self._begin + innovation.time
         if len(self._squares) == self._config.block:
             self._end_block(time)
+        found = self._jump(tick) or self._look(innovation, kind)
         if found is not None:
+            self._end_trial()
             self._name(found, time)
+
+    def _jump(self, tick: RoverTick) -> Finding | None:
+        """Return the zero of an encoder that jumped."""
+        angles, rates = tick.seen.arm_angles, tick.seen.arm_rates
+        if not (angles.usable and rates.usable):
+            return None
+        read, turning = (np.array(each.value, dtype=float) for each in (angles, rates))
+        jump = self._jumps.step(tick.seen.time, read, turning)
+        if jump is None:
+            return None
+        name = f"zero {self.drawn.joint_names[jump.joint]}"
+        return Finding(name, jump.size, jump.sigma, abs(jump.size) / jump.sigma)
+
+    def _look(self, innovation: Innovation, kind: int) -> Finding | None:
+        """Look for changes; those that are suspected are tried out until one is named, or none."""
+        told = innovation.sigma, innovation.sensitivities
+        if self._trial is None:
+            found = self._detector.step(innovation.values, *told, kind, innovation.refuted)
+            if found is not None:
+                self._try(innovation)
+            return None
+        rows = self._trial.rows
+        self._trial.step(innovation.tried, *told, kind)
+        if not self._trial.over:
+            if self._trial.rows is not rows:
+                self.shadow.try_out(self.shadow.known + self._trial.rows, self._trial.begin)
+            return None
+        if (found := self._trial.finding) is None:
+            self._detector.pause()
+            self._end_trial()
+        return found
+
+    def _try(self, innovation: Innovation) -> None:
+        """Try out what the detector suspects."""
+        suspects = self._detector.suspects
+        part = suspects[0].name.partition(" ")[2]
+        names = [each.name for each in suspects]
+        #: What happens wholly or not looks like much that is wrong with the same part.
+        whole = [f"{kind} {part}" for kind in ("stuck", "blocked")]
+        cannot = {each.name for each, no in zip(self.deviations, innovation.refuted) if no}
+        names += [each for each in whole if each in self._by_name and each not in names]
+        changes = [self._by_name[each] for each in names if each not in cannot]
+        if changes:
+            self._trial = Trial(changes, self._detector.learned)
+            self.shadow.try_out(self.shadow.known + self._trial.rows)
+
+    def _end_trial(self) -> None:
+        if self._trial is not None:
+            self._trial = None
+            self.shadow.try_out(np.empty((0, len(self.deviations))))
 
     def _foresee(self, innovation: Innovation, kind: int) -> None:
         """Compare what was foreseen with what is measured, and foresee anew, when it is time."""
         # A rover that drives at all in that time is shaken.
-        self._kind = max(self._kind, kind)
+        self._kind |= kind
         if innovation.time - self._since > AHEAD - 0.5 * SERVO_PERIOD:
             self.foresight.add(innovation.foreseen, self._kind)
             self._pause()
@@ -195,8 +262,7 @@ class TwinBeside:
         )
 
     def _name(self, found: Finding, time: float) -> None:
-        there = {each.name: each for each in self._changes}
-        change = there.get(found.name)
+        change = self._by_name.get(found.name)
         self.named.append(Named(time, found, change.unit if change else ""))
         if change is None:
             self._detector.reset()
@@ -221,12 +287,12 @@ def changes_of(deviations: Sequence[Deviation]) -> list[Change]:
     """Return the changes that there may be: of each deviation, and of all motors' supply."""
     rows = np.eye(len(deviations))
     single = [
-        Change(each.name, each.unit, row, each.change, each.sign, each.usual)
+        Change(each.name, each.unit, row, each.change, each.sign, each.usual, each.most)
         for each, row in zip(deviations, rows)
         if each.change > 0.0
     ]
     supply = np.array([float(each.name.startswith("supply")) for each in deviations])
-    return [*single, Change("battery", "1", supply, 0.3, 1)]
+    return [*single, Change("battery", "1", supply, 0.3, 1, most=WEAKEST)]
 
 
 def _rms(squares: FloatArray) -> float:

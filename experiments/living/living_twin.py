@@ -2,7 +2,8 @@
 
 Each seed makes a rover within its tolerances, and a twin of the drawing learns it at work. Then one
 thing happens to it, or nothing. Others swing a load or drive with it on a slope, which may tip them
-over, and look ahead. Cells, sizes, motions and measures are in ``docs/living_twin.md``.
+over, and look ahead; in missions something happens midway. Cells, sizes, motions and measures are
+in ``docs/living_twin.md``.
 """
 
 from collections.abc import Sequence
@@ -19,6 +20,12 @@ from experiments.living.ahead import KINDS, LIKELY, AheadTrial, Foreseen, forese
 from experiments.living.boards import OnBoards, watch_boards
 from experiments.living.kills import Killed, kill_often
 from experiments.living.living_twin_options import PARTS, Options
+from experiments.living.missions import (
+    CHANGES,
+    LivingMission,
+    measure_missions,
+    run_living_mission,
+)
 from experiments.living.trial import LivingTrial, Watched, watch
 
 CELLS = (
@@ -60,9 +67,13 @@ def run(options: Options, output: Output) -> None:
             ``prediction_nees``; of looking ahead
             ``tip_foreseen_fraction`` and ``false_stop_fraction``, also by kind of motion, and
             ``look_ahead_s``; on boards ``deadline_miss_fraction`` and ``false_alarms_on_boards``;
-            of programs that are killed ``kill_lost_s``, ``kill_back_s`` and ``kill_moved``.
+            of programs that are killed ``kill_lost_s``, ``kill_back_s`` and ``kill_moved``; of
+            missions ``mission_success/<change>/<with or without>`` and ``mission_p/<change>``.
     """
-    parts = {"changes": _changes, "ahead": _ahead, "boards": _boards, "kills": _kills}
+    parts = {
+        "changes": _changes, "ahead": _ahead, "boards": _boards, "kills": _kills,
+        "missions": _missions,
+    }  # fmt: skip
     for part in options.parts or (QUICK_PARTS if options.quick else PARTS):
         parts[part](options, output)
 
@@ -98,6 +109,19 @@ def _kills(options: Options, output: Output) -> None:
     (seed,) = options.job_seeds(1, 1)[:1]
     count = min(options.kills, 1) if options.quick else options.kills
     measure_kills(list(track(kill_often(seed, count), "kills", total=count)), output)
+
+
+def _missions(options: Options, output: Output) -> None:
+    """Run missions in whose midst something happens, with and without a twin."""
+    seeds, changes = options.job_seeds(30, 1), list(CHANGES)[: 2 if options.quick else None]
+    trials = [
+        LivingMission(seed, change, watched)
+        for change in changes
+        for watched in (True, False)
+        for seed in seeds
+    ]
+    measure_missions(trials, sweep(run_living_mission, trials, options, output, label="missions"),
+                     output)  # fmt: skip
 
 
 def measure_kills(found: Sequence[Killed], output: Output) -> None:

@@ -8,7 +8,7 @@ import tyro
 from experiments.harness import contract
 from experiments.harness.contract import OptionError
 
-PARTS = ("changes", "ahead", "boards", "kills")
+PARTS = ("changes", "ahead", "boards", "kills", "missions")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Options(contract.RepeatedOptions):
         on_boards: Time for which a rover on emulated boards works to which nothing happens, beside
             that and in real time [s].
         kills: How often a program that owns a rover is killed.
-        parts: Which parts to run (unless said, all; a quick run leaves out boards and kills).
+        parts: Which parts to run (unless said, all; a quick run has changes and ahead alone).
     """
 
     learning: Annotated[float, tyro.conf.arg(metavar="S")] = 60.0

@@ -1,6 +1,7 @@
 """Ways in which a rover may differ from its drawing, each by one number that is zero as drawn."""
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping, Sequence
 
 import mujoco
@@ -25,6 +26,8 @@ BLOCKING = 1e3
 """Armature by which a twin holds what is blocked [kg m^2]: so much friction its solver does not."""
 HAPPENED = 0.5
 """Number from which on what happens wholly or not at all is taken to have happened."""
+WEAKEST = 0.9
+"""Share of a motor's voltage that is lost at most: a geared motor without any holds its part."""
 _LEAST = 0.05  # Share of a stiffness or a friction that is left at least.
 _HALF_LOAD = 0.025  # Half size of a load, of which its inertia follows [m].
 _UNIFORM = 3.0**-0.5  # Standard deviation of what is even within 1 to both sides.
@@ -51,6 +54,7 @@ class Deviation:
         encoder: Of what sticks or is blocked the readings of that part, by channel and number.
         blocked: Joint that is blocked, by its name in the model; empty for what sticks.
         usual: What happens to it later is usually of this size: 1 of what happens wholly or not.
+        most: Largest number, to either side, that there can be.
     """
 
     name: str
@@ -67,6 +71,7 @@ class Deviation:
     encoder: Sequence[tuple[str, int]] = ()
     blocked: str = ""
     usual: float = 0.0
+    most: float = math.inf
 
     @property
     def sticks(self) -> bool:
@@ -130,23 +135,25 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
     for wheel in robot.wheels:
         spring = _factor("joint", f"{name}/{wheel.name}_suspension_joint", "stiffness")
         share = TOLERANCES.spring * _UNIFORM
-        found.append(Deviation(f"spring {wheel.name}", "1", share, 0.4, -1, -0.4, spring))
+        found.append(Deviation(f"spring {wheel.name}", "1", share, 0.4, -1, -0.4, spring, most=1.0))
     for wheel in robot.wheels:
         drag = _friction(f"{name}/{wheel.name}_joint")
         found.append(Deviation(f"drag {wheel.name}", "N m", 0.05, 0.5, 1, 0.2, drag))
     low, high = TOLERANCES.tyre_friction or (1.0, 1.0)
     spread = (high - low) / (high + low) * _UNIFORM
-    found.append(Deviation("grip all", "1", spread, 0.3, -1, -0.3, _grip(name, robot.wheel_names)))
+    grip = Deviation("grip all", "1", spread, 0.3, -1, -0.3, most=1.0)
+    found.append(dataclasses.replace(grip, write=_grip(name, robot.wheel_names)))
     for wheel in robot.wheels:
-        found.append(
-            Deviation(f"grip {wheel.name}", "1", 0.05, 0.3, -1, -0.3, _grip(name, [wheel.name]))
-        )
+        own, write = f"grip {wheel.name}", _grip(name, [wheel.name])
+        found.append(dataclasses.replace(grip, name=own, spread=0.05, write=write))
     for joint in robot.arm.joints if robot.arm else ():
         friction = _friction(f"{name}/{joint.name}_joint")
         spread = TOLERANCES.joint_friction * _UNIFORM * joint.friction
         found.append(Deviation(f"drag {joint.name}", "N m", spread, 0.3, 1, 0.05, friction))
     for axis in robot.axes:
-        found.append(Deviation(f"supply {axis}", "1", 0.05, 0.3, 1, 0.2, supply={axis: 1.0}))
+        found.append(
+            Deviation(f"supply {axis}", "1", 0.05, 0.3, 1, 0.2, supply={axis: 1.0}, most=WEAKEST)
+        )
     zeros = {
         "arm_angles": (robot.joint_names, "rad", SENSOR_ERRORS.encoder_zero, 0.005),
         "inclinometer": (("pitch", "roll"), "rad", SENSOR_ERRORS.inclinometer_zero, 0.005),

@@ -104,6 +104,7 @@ class Shadow:
     Attributes:
         model: As given; the rover as drawn.
         channels: Where each channel's readings are, by its name.
+        noise: (n,) standard deviations of the readings' noise by datasheet, rounding included.
         deviations: (k,) as given.
         known: (k,) the deviations that the twin has.
     """
@@ -119,7 +120,7 @@ class Shadow:
         self.model, self._robot = model, robot
         self.deviations = list(deviations)
         self._readings = Readings(model, robot)
-        self.channels = self._readings.channels
+        self.channels, self.noise = self._readings.channels, self._readings.sigma
         self._steps = round(SERVO_PERIOD / model.opt.timestep)
         self._axes = np.array([model.actuator(f"{robot.name}/{name}").id for name in robot.axes])
         threads = self._config.threads
@@ -160,12 +161,18 @@ class Shadow:
             self._deviating(self.known), self._readings, self._config.noise, self._steps
         )
 
-    def try_out(self, values: FloatArray) -> None:
-        """Let copies with deviations (m, k) run from where the twin is, instead of earlier ones."""
+    def try_out(self, values: FloatArray, begin: Sequence[int] | None = None) -> None:
+        """Let copies run from where the twin is, instead of earlier ones.
+
+        Args:
+            values: (m, k) deviations of the copies.
+            begin: (m,) the earlier copy from where each begins instead; None for the twin.
+        """
         usual = 1 + len(self.deviations)
         rows = np.vstack([self._rows[:usual], values, self._rows[-1:]])
         tried = [self._hasty(row) for row in values]
-        self._run(rows, [*self._models[:usual], *tried, self._models[-1]])
+        from_where = None if begin is None else usual + np.asarray(begin, dtype=np.intp)
+        self._run(rows, [*self._models[:usual], *tried, self._models[-1]], from_where)
 
     def foresee(self, values: FloatArray) -> None:
         """Begin to predict from where the twin is, with deviations (k,), as the robot has them."""
@@ -175,18 +182,23 @@ class Shadow:
             each[-1] = each[0]
         self._tilt_gravity()
 
-    def _run(self, rows: FloatArray, models: list[mujoco.MjModel]) -> None:
-        """Run models with deviations (m, k); those beyond the usual ones begin where the twin is.
+    def _run(
+        self,
+        rows: FloatArray,
+        models: list[mujoco.MjModel],
+        begin: NDArray[np.intp] | None = None,
+    ) -> None:
+        """Run models with deviations (m, k); the states of the usual ones and of the last stay.
 
-        Of the usual ones and of the last the states stay.
+        Those between begin where the twin is, or the models of given numbers.
         """
         self._rows, self._models = happened(self.deviations, rows), models
         self._gravities = [model.opt.gravity for model in models]
         self._outer()
         usual = 1 + len(self.deviations)
-        added = len(rows) - usual - 1
+        begin = np.zeros(len(rows) - usual - 1, dtype=np.intp) if begin is None else begin
         self._states, self._grounds, self._tilts = (
-            np.vstack([each[:usual], np.tile(each[0], (added, 1)), each[-1:]])
+            np.vstack([each[:usual], each[begin], each[-1:]])
             if len(each) > usual
             else np.tile(each[0], (len(rows), 1))
             for each in (self._states, self._grounds, self._tilts)
@@ -299,7 +311,8 @@ class Shadow:
         """Lead back to the twin the copies that no reading leads.
 
         Those are of an encoder that sticks, and of a wheel that is blocked: what it is measured to
-        turn is not taken for its rover's way.
+        turn is not taken for its rover's way. Copies that are tried out for seconds are not led but
+        by an angle that is new: they have what the twin has not.
 
         Args:
             angles: Those of the arm as measured (joints,); NaN for none. One that is another than
@@ -330,7 +343,8 @@ class Shadow:
                 self._bias[:, self.channels[channel].start + number] += share * column
         self._stuck = np.clip(rows[:, self._sticking] @ self._own[self._sticking], 0.0, 1.0)
         wheels = self._own[:, self.channels["wheel_speeds"]].any(axis=1)
-        self._led = (rows[:, wheels] > 0.0).any(axis=1)
+        usual = np.arange(count) < 1 + len(self.deviations)
+        self._led = usual & (rows[:, wheels] > 0.0).any(axis=1)
         places = [(row, i, freedom) for i, freedom in self._blocking for row in range(count)]
         held = [(row, freedom) for row, i, freedom in places if rows[row, i] > 0.0]
         self._blocked = np.array(held, dtype=np.intp).reshape(-1, 2).T

@@ -12,6 +12,8 @@ from tests.controllers.mission.hand_made import MASTER, SLAVE, hand_links, local
 from tests.controllers.motion.seen import seen_at
 from twin.robot import Command
 
+RNG = np.random.default_rng(1)
+
 
 def mapped(belief, wall=None):
     """Map level ground about a rover, with a wall around it if that has a distance [m]."""
@@ -67,7 +69,7 @@ class Done:
 def test_a_rover_that_has_done_its_part_gives_way_once_the_other_one_has_no_path(goals):
     links = hand_links()
     part = RobotMission(
-        mapped(localized(SLAVE)), MissionRadio(links[0], MASTER), 2, iter([Done(), Done()])
+        mapped(localized(SLAVE)), MissionRadio(links[0], MASTER), 2, iter([Done(), Done()]), RNG
     )
     for time, blocked, ways in ((1.0, False, 0), (2.0, True, 1), (3.0, True, 1), (4.0, False, 1)):
         links[1].send(Status(0, blocked=blocked).pack())
@@ -93,7 +95,7 @@ def test_no_stage_begins_while_a_rover_drives_out_of_the_way(monkeypatch):
     monkeypatch.setattr(give_way, "drive", drive)
     links = hand_links()
     belief = mapped(localized(SLAVE))
-    part = RobotMission(belief, MissionRadio(links[0], MASTER), 2, iter([Done(), Done()]))
+    part = RobotMission(belief, MissionRadio(links[0], MASTER), 2, iter([Done(), Done()]), RNG)
     before = belief.localization
     for time, blocked, done in ((1.0, True, 0), (2.0, False, 1)):
         links[1].send(Status(done, blocked=blocked).pack())
@@ -109,7 +111,7 @@ def test_no_stage_begins_while_a_rover_drives_out_of_the_way(monkeypatch):
 def test_a_rover_that_has_taken_its_place_stays(goals):
     links = hand_links()
     part = RobotMission(
-        mapped(localized(SLAVE)), MissionRadio(links[0], MASTER), 2, iter([Done(), Done()])
+        mapped(localized(SLAVE)), MissionRadio(links[0], MASTER), 2, iter([Done(), Done()]), RNG
     )
     part.ended.append("place")
     links[1].send(Status(0, blocked=True).pack())
@@ -121,7 +123,7 @@ def test_a_rover_that_has_taken_its_place_stays(goals):
 def test_a_rover_without_a_path_tells_it_until_it_has_one():
     links = hand_links()
     belief = mapped(localized(SLAVE))
-    part = RobotMission(belief, MissionRadio(links[0], MASTER), 2, iter([Working()]))
+    part = RobotMission(belief, MissionRadio(links[0], MASTER), 2, iter([Working()]), RNG)
     for time, hindered in ((1.0, True), (3.0, False)):
         belief.navigator.hindered = hindered
         part.step(seen_at(time))

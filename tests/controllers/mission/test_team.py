@@ -58,7 +58,13 @@ def parts_with(
             yield Work(f"stage {number}", each[index])
 
     return tuple(
-        RobotMission(belief_of(name), MissionRadio(link, partner), index, stages(index))
+        RobotMission(
+            belief_of(name),
+            MissionRadio(link, partner),
+            index,
+            stages(index),
+            np.random.default_rng(1),
+        )
         for index, (name, partner, link) in enumerate(
             [(MASTER, SLAVE, links[0]), (SLAVE, MASTER, links[1])]
         )

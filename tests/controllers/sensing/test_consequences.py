@@ -4,9 +4,8 @@ import dataclasses
 
 import pytest
 
-from controllers.sensing.changes import UNKNOWN
 from controllers.sensing.consequences import Bounds, Consequence, consequence_of, reach, robot_mass
-from controllers.sensing.diagnosis import Finding
+from controllers.sensing.diagnosis import UNKNOWN, Finding
 from models.compose import RobotPlacement
 from twin.describe import describe_rover
 from twin.shadow.deviations import rover_deviations, shadow_scene

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from controllers.motion.teleoperation import Teleoperation
-from controllers.sensing.changes import UNKNOWN
-from controllers.sensing.diagnosis import Finding
+from controllers.sensing.diagnosis import UNKNOWN, Finding
 from controllers.sensing.probing import PERIOD, SHARE, probe, probes
 from models.compose import RobotPlacement
 from twin.connect import connect

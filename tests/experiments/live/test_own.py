@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from controllers.motion.teleoperation import Teleoperation
-from controllers.sensing.changes import UNKNOWN, ChangeMemory
-from controllers.sensing.diagnosis import Finding
+from controllers.sensing.changes import ChangeMemory
+from controllers.sensing.diagnosis import UNKNOWN, Finding
 from experiments.harness.contract import ExperimentError, OptionError
 from experiments.live.live import SLOWER, OwnPage
 from experiments.live.live_options import Options

@@ -78,7 +78,7 @@ class Placed:
         guide = GuideInsertion(master, radios[0], arm.transform_card_to_robot(slave.home))
         stages = guide, InsertCard(slave, radios[1])
         return [
-            RobotMission(belief, radio, number, iter([stage]))
+            RobotMission(belief, radio, number, iter([stage]), np.random.default_rng(1))
             for number, (belief, radio, stage) in enumerate(zip((master, slave), radios, stages), 1)
         ]
 

@@ -28,10 +28,13 @@ class Mapping(Placed):
     def _parts(self) -> list[RobotMission]:
         master, slave = (part.belief for part in self._mission.team.parts)
         links = self._mission.connection.links
-        self.stage = MapSite(master, VIEWS, np.random.default_rng(0))
+        rng = np.random.default_rng(0)
+        self.stage = MapSite(master, VIEWS, rng)
         return [
-            RobotMission(master, MissionRadio(links[MASTER], SLAVE), 1, iter([self.stage])),
-            RobotMission(slave, MissionRadio(links[SLAVE], MASTER), 2, iter([Wait("map", slave)])),
+            RobotMission(master, MissionRadio(links[MASTER], SLAVE), 1, iter([self.stage]), rng),
+            RobotMission(
+                slave, MissionRadio(links[SLAVE], MASTER), 2, iter([Wait("map", slave)]), rng
+            ),
         ]
 
     @property

@@ -1,0 +1,257 @@
+"""Which of some suspected changes happened: each is tried out in twins that have it.
+
+A change that is suspected is one that explains what a twin missed, as far as its innovations are
+linear in it. Then copies of the twin run that have it, in some sizes and later in others about the
+likeliest: what is blocked is blocked there, and a spring is as soft as it would be. The one that
+misses least of the next seconds is named, if without any the twin would miss much more.
+
+All of them deviate from the drawing as the unchanged robot was learned to. Misses are means over
+blocks, less what each reading is off by for good, over its long-run variance. Each counts as of
+Student's distribution, by which a stone that no twin expects does not decide.
+"""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from controllers.sensing.changes import Change, Learned
+from controllers.sensing.diagnosis import UNKNOWN, Finding
+from perception.geometry.arrays import FloatArray
+from perception.geometry.checks import check_numbers
+
+_MOST = 60.0  # Deviations for which a single miss counts at most.
+_STRANGE = 4.0  # Mean squared miss above which what the best twin misses counts as much, and the
+_LITTLE = 0.5  # share of what is missed without it above which that explains too little.
+
+
+@dataclasses.dataclass(frozen=True)
+class TrialConfig:
+    """How changes are tried out.
+
+    Attributes:
+        block: Ticks over which misses are averaged.
+        coarse: Sizes that are tried out at first, over how large a change may well be.
+        fine: Sizes that are tried out then, over the likeliest of these.
+        first: Blocks of the first part, of which those changes are left that may be.
+        least: Blocks of each later part before one is named.
+        most: Blocks after which the likeliest is, if no other is far less likely before.
+        parts: Parts at most; one follows where the likeliest size is the first or last of its own.
+        off: Standard deviation of a size by what models of such robots miss, over the size.
+        left: Ratio of likelihoods to the likeliest change above which a change is left.
+        decided: Ratio of likelihoods to the next one with which a change is named before `most`.
+        needed: Ratio of likelihoods to no change from which on one is named at all.
+        freedom: Degrees of freedom of Student's distribution of the misses.
+    """
+
+    block: int = 25
+    coarse: tuple[float, ...] = (0.2, 0.5, 1.0, 2.0, 5.0)
+    fine: tuple[float, ...] = (0.7, 0.85, 1.0, 1.15, 1.4)
+    first: int = 3
+    least: int = 5
+    most: int = 16
+    parts: int = 4
+    off: float = 0.1
+    left: float = 1e-12
+    decided: float = 100.0
+    needed: float = 1e4
+    freedom: float = 4.0
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that could not be meant.
+
+        Raises:
+            ValueError: Naming the number.
+        """
+        names = "block", "first", "least", "most", "parts", "left", "decided", "needed", "freedom"
+        check_numbers("trial", self, *names)
+
+
+class Trial:
+    """Tries out some changes.
+
+    Args:
+        suspects: Changes that may have happened.
+        learned: What is known of the unchanged robot.
+        config: How; None for the default.
+
+    Attributes:
+        rows: (1 + m, k) deviations to try out, beside those that the twin has, first those of the
+            unchanged robot; others in its later parts.
+        begin: (1 + m,) from where each begins in a later part: the number of a row before; None in
+            the first, which begins where the twin is.
+        over: Whether it is over.
+        finding: What came of it: the change with its size; None if none is needed.
+    """
+
+    def __init__(
+        self,
+        suspects: Sequence[Change],
+        learned: Learned,
+        config: TrialConfig | None = None,
+    ) -> None:
+        self._config = config or TrialConfig()
+        self._learned = learned
+        self.over = False
+        self.finding: Finding | None = None
+        self._parts = 1
+        self.begin: list[int] | None = None
+        signed = [(each, sign * each.spread) for each in suspects for sign in _signs(each)]
+        self._try(signed, self._config.coarse)
+
+    def _try(self, suspects: Sequence[tuple[Change, float]], shares: Sequence[float]) -> None:
+        """Begin a part, with shares of given sizes of some changes."""
+        self._changes = [change for change, _ in suspects]
+        self._sizes = [_sizes(change, size, shares) for change, size in suspects]
+        added = [
+            size * change.direction
+            for change, sizes in zip(self._changes, self._sizes)
+            for size in sizes
+        ]
+        self.rows: FloatArray = self._learned.deviations + np.vstack([0.0 * added[0], *added])
+        #: Misses of this block's ticks.
+        self._ticks: list[tuple[FloatArray, FloatArray, int]] = []
+        self._likely: FloatArray = np.zeros(len(self.rows))
+        self._squares: FloatArray = np.zeros(len(self.rows))
+        count = len(self._learned.deviations)
+        self._information: FloatArray = np.zeros((count, count))
+        self._blocks, self._count = 0, 0
+
+    def step(
+        self, missed: FloatArray, sigma: FloatArray, sensitivities: FloatArray, kind: int
+    ) -> None:
+        """Take the innovations of a tick.
+
+        Args:
+            missed: (1 + m, n) measured less expected with each of the deviations that are tried
+                out; NaN for what was not measured.
+            sigma: (n,) standard deviations of the readings.
+            sensitivities: (k, n) change of the expected by one unit of each deviation.
+            kind: Kind of motion, below `controllers.sensing.changes.KINDS`.
+        """
+        missed = np.clip(missed / sigma - self._learned.offsets, -_MOST, _MOST)
+        self._ticks.append((missed, sensitivities / sigma, kind))
+        if len(self._ticks) == self._config.block:
+            self._take_block()
+            if self._parts > 1:
+                self._judge()
+            elif self._blocks == self._config.first:
+                self._refine()
+
+    def _take_block(self) -> None:
+        missed, slopes = (np.array([each[at] for each in self._ticks]) for at in (0, 1))
+        kind = int(np.bitwise_or.reduce([kind for _, _, kind in self._ticks]))
+        self._ticks = []
+        there = np.isfinite(missed)
+        count = there.sum(axis=0)
+        mean = np.where(there, missed, 0.0).sum(axis=0) / np.maximum(count, 1)
+        weights = count / self._learned.variances[kind]
+        squares = np.square(mean) * weights
+        slope = slopes.mean(axis=0)
+        self._information += (slope * weights[0]) @ slope.T
+        freedom = self._config.freedom
+        self._likely -= 0.5 * (freedom + 1.0) * np.log1p(squares / freedom).sum(axis=1)
+        self._squares += squares.sum(axis=1)
+        self._count += int(np.count_nonzero(count[0]))
+        self._blocks += 1
+
+    def _told(self) -> tuple[list[FloatArray], list[float]]:
+        """Return how likely each size of each change is, and each change."""
+        parts = np.split(self._likely[1:], np.cumsum([len(each) for each in self._sizes])[:-1])
+        return parts, [float(np.logaddexp.reduce(part)) - math.log(len(part)) for part in parts]
+
+    def _refine(self) -> None:
+        """Begin another part, with the changes that are left."""
+        parts, likely = self._told()
+        limit = max(likely) + math.log(self._config.left)
+        left: list[tuple[Change, float]] = []
+        rows, row = list[int](), 1
+        for change, sizes, part, each in zip(self._changes, self._sizes, parts, likely):
+            if each > limit:
+                left.append((change, peak(sizes, part)[0]))
+                rows.append(row + int(np.argmax(part)))
+            row += len(part)
+        self._parts += 1
+        self._try(left, self._config.fine)
+        self.begin = [0, *np.repeat(rows, [len(each) for each in self._sizes]).tolist()]
+
+    def _judge(self) -> None:
+        """End the trial, if it can be told what came of it."""
+        config = self._config
+        parts, likely = self._told()
+        best, *others = sorted(range(len(likely)), key=lambda each: -likely[each])
+        needed = likely[best] - self._likely[0] > math.log(config.needed)
+        decided = not others or likely[best] - likely[others[0]] > math.log(config.decided)
+        enough = self._blocks >= config.least and needed and decided
+        if enough and self._parts < config.parts and self._beyond(best, parts[best]):
+            self._refine()
+            return
+        self.over = enough or self._blocks >= config.most
+        if self.over and needed:
+            self.finding = self._found(best, parts[best])
+
+    def _beyond(self, best: int, likely: FloatArray) -> bool:
+        """Return whether a change may be larger or smaller than all sizes that were tried out."""
+        at, sizes = int(np.argmax(likely)), np.abs(self._sizes[best])
+        if len(sizes) == 1:
+            return False
+        return at == 0 or (at == len(sizes) - 1 and sizes[at] < self._changes[best].most)
+
+    def _found(self, best: int, likely: FloatArray) -> Finding:
+        """Return a change with its size, by the likelihood of each that was tried out."""
+        row = 1 + sum(len(each) for each in self._sizes[:best]) + int(np.argmax(likely))
+        misfit, without = self._squares[[row, 0]] / max(1, self._count)
+        change = self._changes[best]
+        size, sigma = peak(self._sizes[best], likely)
+        off = 0.0 if change.usual else self._config.off * size
+        sigma = math.sqrt(sigma**2 * max(1.0, float(misfit)) + self._before(change) + off**2)
+        explains_little = misfit > max(_STRANGE, _LITTLE * without)
+        name = UNKNOWN if explains_little else change.name
+        beyond = math.sqrt(2.0 * max(0.0, float(likely.max() - self._likely[0])))
+        return Finding(name, size, sigma, beyond)
+
+    def _before(self, change: Change) -> float:
+        """Return the variance of a size by what the robot deviated by before."""
+        if change.usual:
+            return 0.0
+        pull = self._information @ change.direction
+        share = pull / max(float(change.direction @ pull), 1e-12)
+        return float(share @ self._learned.covariance @ share)
+
+
+def _signs(change: Change) -> tuple[float, ...]:
+    """Return to which sides of zero a change may be."""
+    return (float(change.sign),) if change.sign else (1.0,) if change.usual else (-1.0, 1.0)
+
+
+def _sizes(change: Change, size: float, shares: Sequence[float]) -> FloatArray:
+    """Return the sizes of a change that are tried out."""
+    if change.usual:
+        return np.array([change.usual])
+    sizes = np.unique(np.minimum(np.array(shares) * abs(size), change.most))
+    return math.copysign(1.0, size) * sizes
+
+
+def peak(sizes: FloatArray, likely: FloatArray) -> tuple[float, float]:
+    """Return the likeliest size and its standard deviation.
+
+    Args:
+        sizes: (m,) sizes that were tried out, in order.
+        likely: (m,) logarithm of the likelihood of each.
+
+    Returns:
+        Top and width of the parabola through the likeliest and its neighbours; where that has no
+        top among them, the likeliest, give or take what lies between sizes.
+    """
+    best = int(np.argmax(likely))
+    if len(sizes) < 3:  # noqa: PLR2004
+        return float(sizes[best]), 0.0
+    middle = min(max(best, 1), len(sizes) - 2)
+    at = sizes[middle - 1 : middle + 2]
+    bend, slope, _ = np.polyfit(at - sizes[best], likely[middle - 1 : middle + 2], 2)
+    apart = float(np.ptp(at)) / 2.0
+    if bend >= -0.5 / apart**2:
+        return float(sizes[best]), apart
+    top = float(np.clip(-0.5 * slope / bend, -2.0 * apart, 2.0 * apart))
+    return float(sizes[best]) + top, float((-2.0 * bend) ** -0.5)

@@ -1,0 +1,111 @@
+"""Changes that are tried out beside robots whose readings are linear in what they deviate by."""
+
+import numpy as np
+import pytest
+
+from controllers.sensing.changes import KINDS, Change, Learned
+from controllers.sensing.diagnosis import UNKNOWN
+from controllers.sensing.trial import Trial, TrialConfig, peak
+
+READINGS, COUNT = 6, 4
+SIGMA = np.array([0.1, 1.0, 0.5, 2.0, 0.02, 3.0])
+BEFORE = np.array([0.2, -0.1, 0.05, 0.0])
+"""What the robot deviates by before anything happens."""
+LEARNED = Learned(BEFORE, 1e-6 * np.eye(COUNT), np.zeros(READINGS), np.ones((KINDS, READINGS)))
+CHANGES = [
+    Change("load", "kg", np.eye(COUNT)[0], 1.0, 1),
+    Change("spring", "1", np.eye(COUNT)[1], 0.5, -1, most=1.0),
+    Change("zero", "rad", np.eye(COUNT)[2], 0.3),
+    Change("stuck", "1", np.eye(COUNT)[3], 0.2, usual=1.0),
+]
+
+
+def slopes(tick):
+    wave = np.sin(0.02 * tick * np.arange(1, COUNT + 1)[:, None] + np.arange(READINGS))
+    return 2.0 * wave * SIGMA
+
+
+def tried(trial, true, seed=1, knocked=0.0, most=1000):
+    """Run a trial beside a robot that deviates by so much; returns what came of it, and when."""
+    rng = np.random.default_rng(seed)
+    for tick in range(most):
+        noise = SIGMA * rng.standard_normal(READINGS)
+        strange = knocked * SIGMA * np.sign(np.sin(0.11 * tick + np.arange(READINGS) ** 2))
+        missed = noise + strange + (true - trial.rows) @ slopes(tick)
+        missed[:, 2] = np.nan if tick % 2 else missed[:, 2]
+        trial.step(missed, SIGMA, slopes(tick), tick % KINDS)
+        if trial.over:
+            return trial.finding, tick
+    raise AssertionError("it does not end")
+
+
+@pytest.mark.parametrize(("index", "size"), [(0, 1.3), (1, -0.7), (2, 0.5), (2, -0.4), (3, 1.0)])
+def test_what_happened_is_named_with_its_size_among_others(index, size):
+    inside, ticks = [], []
+    for seed in range(12):
+        trial = Trial(CHANGES, LEARNED)
+        found, tick = tried(trial, BEFORE + size * CHANGES[index].direction, seed)
+        assert found is not None and found.name == CHANGES[index].name
+        inside.append(abs(found.size - size) <= 1.96 * found.sigma + 1e-12)
+        assert abs(found.size - size) < 0.1, found
+        ticks.append(tick)
+    assert np.mean(inside) >= 0.75, inside  # noqa: PLR2004
+    config = TrialConfig()
+    soonest = config.block * (config.first + config.least)
+    assert soonest - 1 == min(ticks) <= max(ticks) < config.block * (config.first + config.most)
+
+
+def test_where_the_unchanged_robot_explains_what_is_measured_nothing_is_named():
+    for seed in range(8):
+        trial = Trial(CHANGES, LEARNED)
+        found, tick = tried(trial, BEFORE, seed)
+        assert found is None
+        assert tick == 25 * (3 + 16) - 1
+
+
+def test_what_none_of_them_explains_is_unknown():
+    trial = Trial(CHANGES, LEARNED)
+    found, _ = tried(trial, BEFORE + [0.8, 0.0, 0.0, 0.0], knocked=3.0)
+    assert found is not None and found.name == UNKNOWN
+
+
+def test_a_size_is_known_no_better_than_what_looks_like_it_was_before():
+    """Two deviations that no reading tells apart: what is not known of one is not of the other."""
+    known = LEARNED.covariance.copy()
+    known[1, 1] = 0.2**2
+    alike = Change("alike", "1", np.eye(COUNT)[0], 1.0)
+    sigmas = []
+    for covariance in (LEARNED.covariance, known):
+        trial = Trial([alike], LEARNED._replace(covariance=covariance))
+        rng = np.random.default_rng(3)
+        while not trial.over:
+            row = SIGMA * rng.uniform(0.5, 1.0, READINGS)
+            same = np.vstack([row, row, 0.0 * row, 0.0 * row])
+            missed = (BEFORE + [1.0, 0.0, 0.0, 0.0] - trial.rows) @ same
+            trial.step(missed + SIGMA * rng.standard_normal(READINGS), SIGMA, same, 0)
+        assert trial.finding is not None
+        sigmas.append(trial.finding.sigma)
+    assert sigmas[1] == pytest.approx(np.hypot(sigmas[0], 0.2), rel=0.01)
+    assert sigmas[0] > 0.09  # By what models miss.  # noqa: PLR2004
+
+
+def test_sizes_are_of_the_changes_sign_and_no_larger_than_there_may_be():
+    trial = Trial(CHANGES[1:], LEARNED)
+    sizes = (trial.rows - BEFORE)[:, 1]
+    assert np.all(sizes <= 0.0) and sizes.min() == pytest.approx(-1.0)
+    assert np.sign((trial.rows - BEFORE)[:, 2].round(9)).sum() == 0.0
+    np.testing.assert_allclose((trial.rows - BEFORE)[-1], [0.0, 0.0, 0.0, 1.0])
+    np.testing.assert_allclose(trial.rows[0], BEFORE)
+
+
+@pytest.mark.parametrize("top", [0.9, 1.3, 2.0])
+def test_peak_of_a_parabola_is_its_top_and_width(top):
+    sizes = np.array([0.5, 0.8, 1.0, 1.4, 2.0])
+    likely = 3.0 - 0.5 * ((sizes - top) / 0.2) ** 2
+    assert peak(sizes, likely) == pytest.approx((top, 0.2))
+    assert peak(-sizes, likely) == pytest.approx((-top, 0.2))
+
+
+def test_peak_without_a_top_is_the_likeliest_give_or_take_what_lies_between():
+    assert peak(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1e-3, 2e-3])) == (3.0, 1.0)
+    assert peak(np.array([1.0]), np.array([-4.0])) == (1.0, 0.0)
