@@ -22,11 +22,13 @@ class JumpConfig:
         beyond: Deviations of what noise makes beyond which an angle jumped.
         steady: Ticks before and after for which it stays as it is.
         gap: Time between two readings beyond which nothing is compared [s].
+        off: Standard deviation of a size over the size: an arm that follows its encoder swings.
     """
 
     beyond: float = 8.0
     steady: int = 5
     gap: float = 0.05
+    off: float = 0.01
 
     def __post_init__(self) -> None:
         """Refuse numbers that could not be meant.
@@ -34,7 +36,7 @@ class JumpConfig:
         Raises:
             ValueError: Naming the number.
         """
-        check_numbers("jumps", self, "beyond", "steady", "gap")
+        check_numbers("jumps", self, "beyond", "steady", "gap", "off")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -116,5 +118,9 @@ class ZeroJumps:
         if over[joint] <= 0.0:
             return None
         self.reset()
-        size = float(later[:, joint].mean() - before[:, joint].mean())
-        return Jump(joint, size, noise * math.sqrt(steady))
+        # Rates are off by some share, so that the difference grows: lines before and after it.
+        middle = 0.5 * (times[steady - 1] + times[steady])
+        sides = (times[:steady], before), (times[steady:], later)
+        ends = [np.polynomial.Polynomial.fit(at, each[:, joint], 1)(middle) for at, each in sides]
+        size = float(ends[1] - ends[0])
+        return Jump(joint, size, math.hypot(noise * math.sqrt(steady), self._config.off * size))

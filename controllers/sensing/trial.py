@@ -53,9 +53,9 @@ class TrialConfig:
     most: int = 16
     parts: int = 4
     off: float = 0.1
-    left: float = 1e-12
-    decided: float = 100.0
-    needed: float = 1e4
+    left: float = 1e-20
+    decided: float = 1e6
+    needed: float = 1e6
     freedom: float = 4.0
 
     def __post_init__(self) -> None:
@@ -184,7 +184,11 @@ class Trial:
         needed = likely[best] - self._likely[0] > math.log(config.needed)
         decided = not others or likely[best] - likely[others[0]] > math.log(config.decided)
         enough = self._blocks >= config.least and needed and decided
-        if enough and self._parts < config.parts and self._beyond(best, parts[best]):
+        limit = likely[best] + math.log(config.left)
+        at_edge = any(
+            each > limit and self._beyond(index, parts[index]) for index, each in enumerate(likely)
+        )
+        if enough and self._parts < config.parts and at_edge:
             self._refine()
             return
         self.over = enough or self._blocks >= config.most
@@ -237,21 +241,23 @@ def peak(sizes: FloatArray, likely: FloatArray) -> tuple[float, float]:
     """Return the likeliest size and its standard deviation.
 
     Args:
-        sizes: (m,) sizes that were tried out, in order.
+        sizes: (m,) sizes that were tried out, all of one sign, in order.
         likely: (m,) logarithm of the likelihood of each.
 
     Returns:
-        Top and width of the parabola through the likeliest and its neighbours; where that has no
-        top among them, the likeliest, give or take what lies between sizes.
+        Top and width of the parabola through the likeliest and its neighbours, over the logarithm
+        of the size; beyond the first and the last no farther than half of what lies before. Where
+        it has no top, the likeliest, give or take what lies between sizes.
     """
     best = int(np.argmax(likely))
     if len(sizes) < 3:  # noqa: PLR2004
         return float(sizes[best]), 0.0
     middle = min(max(best, 1), len(sizes) - 2)
-    at = sizes[middle - 1 : middle + 2]
-    bend, slope, _ = np.polyfit(at - sizes[best], likely[middle - 1 : middle + 2], 2)
-    apart = float(np.ptp(at)) / 2.0
+    logs = np.log(np.abs(sizes[middle - 1 : middle + 2] / sizes[best]))
+    bend, slope, _ = np.polyfit(logs, likely[middle - 1 : middle + 2], 2)
+    apart = float(np.ptp(logs)) / 2.0
     if bend >= -0.5 / apart**2:
-        return float(sizes[best]), apart
-    top = float(np.clip(-0.5 * slope / bend, -2.0 * apart, 2.0 * apart))
-    return float(sizes[best]) + top, float((-2.0 * bend) ** -0.5)
+        return float(sizes[best]), abs(float(sizes[best])) * apart
+    top = float(np.clip(-0.5 * slope / bend, -0.5 * apart, 0.5 * apart))
+    size = float(sizes[best]) * math.exp(top)
+    return size, abs(size) * float((-2.0 * bend) ** -0.5)

@@ -303,3 +303,48 @@ def test_it_goes_on_with_what_it_has_learned():
 def test_a_block_of_fewer_ticks_than_there_are_windows_is_refused():
     with pytest.raises(ValueError, match="block = 3: expected more ticks than the 3 windows"):
         dataclasses.replace(CONFIG, block=3)
+
+
+def alarmed(config=CONFIG, walks=None, refuted=None):
+    """The detector at its alarm after the second of three deviations changed; None for none."""
+    rng, detector = np.random.default_rng(8), ChangeDetector(SPREADS, CHANGES, config, walks)
+    change = np.array([0.0, -5.0, 0.0])
+    for tick, (values, slopes) in enumerate(
+        innovations(rng, 1600, lambda tick: change * (tick >= 1200))  # noqa: PLR2004
+    ):
+        if detector.step(values, SIGMA, slopes, 0, refuted) is not None:
+            assert tick > 1200  # noqa: PLR2004
+            return detector
+    return None
+
+
+def test_an_alarm_suspects_the_likeliest_changes_first():
+    detector = alarmed()
+    assert [each.name for each in detector.suspects][0] == "b"
+    order = np.argsort(-detector.evidence)
+    assert [each.name for each in detector.suspects] == ["abc"[k] for k in order]
+    assert detector.suspects[0].size == pytest.approx(-5.0, abs=4.0 * detector.suspects[0].sigma)
+
+
+def test_what_cannot_be_is_not_suspected():
+    assert alarmed(refuted=np.array([False, False, True])) is not None
+    detector = alarmed(refuted=np.array([False, True, False]))
+    assert detector is None or detector.suspects[0].name != "b"
+
+
+def test_what_wanders_by_itself_has_not_changed():
+    assert alarmed(walks=np.array([0.0, 0.1, 0.0])) is not None
+    detector = alarmed(walks=np.array([0.0, 5.0, 0.0]))
+    assert detector is None or detector.suspects[0].name != "b"
+
+
+def test_what_is_learned_is_told_for_a_trial():
+    detector = ChangeDetector(SPREADS, CHANGES, dataclasses.replace(CONFIG, offset=2.0))
+    true, off = np.array([0.4, -1.5, 0.05]), np.array([0.0, 3.0, 0.0, 0.0, 0.0, 0.0])
+    for values, slopes in innovations(np.random.default_rng(1), 4000, lambda tick: true):
+        detector.step(values + off * SIGMA, SIGMA, slopes)
+    learned = detector.learned
+    sigma = np.sqrt(np.diag(learned.covariance))
+    assert np.all(np.abs(learned.deviations - true) < 4.0 * sigma)
+    assert learned.offsets == pytest.approx(off, abs=0.3)
+    assert learned.variances[0] == pytest.approx(np.ones(READINGS), rel=0.5)

@@ -65,7 +65,7 @@ def test_where_the_unchanged_robot_explains_what_is_measured_nothing_is_named():
 
 def test_what_none_of_them_explains_is_unknown():
     trial = Trial(CHANGES, LEARNED)
-    found, _ = tried(trial, BEFORE + [0.8, 0.0, 0.0, 0.0], knocked=3.0)
+    found, _ = tried(trial, BEFORE + [0.8, 0.0, 0.0, 0.0], knocked=1.5)
     assert found is not None and found.name == UNKNOWN
 
 
@@ -98,14 +98,21 @@ def test_sizes_are_of_the_changes_sign_and_no_larger_than_there_may_be():
     np.testing.assert_allclose(trial.rows[0], BEFORE)
 
 
-@pytest.mark.parametrize("top", [0.9, 1.3, 2.0])
-def test_peak_of_a_parabola_is_its_top_and_width(top):
+@pytest.mark.parametrize("top", [0.9, 1.3, 1.9])
+def test_peak_of_a_parabola_over_the_logarithm_is_its_top_and_width(top):
     sizes = np.array([0.5, 0.8, 1.0, 1.4, 2.0])
-    likely = 3.0 - 0.5 * ((sizes - top) / 0.2) ** 2
-    assert peak(sizes, likely) == pytest.approx((top, 0.2))
-    assert peak(-sizes, likely) == pytest.approx((-top, 0.2))
+    likely = 3.0 - 0.5 * (np.log(sizes / top) / 0.2) ** 2
+    assert peak(sizes, likely) == pytest.approx((top, 0.2 * top))
+    assert peak(-sizes, likely) == pytest.approx((-top, 0.2 * top))
+
+
+def test_peak_beyond_the_sizes_is_near_the_last_of_them():
+    sizes = np.array([1.0, 2.0, 4.0])
+    found, _ = peak(sizes, -0.5 * (np.log(sizes / 50.0) / 0.5) ** 2)
+    assert found == pytest.approx(4.0 * 2.0**0.5)
 
 
 def test_peak_without_a_top_is_the_likeliest_give_or_take_what_lies_between():
-    assert peak(np.array([1.0, 2.0, 3.0]), np.array([0.0, 1e-3, 2e-3])) == (3.0, 1.0)
+    found = peak(np.array([1.0, 2.0, 4.0]), np.array([0.0, 1e-3, 2e-3]))
+    assert found == pytest.approx((4.0, 4.0 * np.log(2.0)))
     assert peak(np.array([1.0]), np.array([-4.0])) == (1.0, 0.0)
