@@ -5,5 +5,9 @@
   figure 5-6).
 - `wheel_grip`: friction under each wheel, from its own spin.
 - `diagnosis`: a load on the base, soft springs or a worn tyre, by name and size.
-- `changes`: what changed, found in the innovations of a twin that runs beside the robot.
+- `changes`: what may have changed, found in the innovations of a twin that runs beside the robot.
+- `trial`: which of that it was, and how large, by copies of the twin that have it.
+- `jumps`: encoders whose zero jumps.
+- `consequences`, `probing`, `foresight`: what a change means, the motion that tells more of it, and
+  how well a twin predicts.
 """

@@ -42,6 +42,8 @@ class TrialConfig:
         left: Ratio of likelihoods to the likeliest change above which a change is left.
         decided: Ratio of likelihoods to the next one with which a change is named before `most`.
         needed: Ratio of likelihoods to no change from which on one is named at all.
+        smallest: Least size that is named, over how large the change may well be: smaller ones are
+            learned.
         freedom: Degrees of freedom of Student's distribution of the misses.
     """
 
@@ -55,7 +57,8 @@ class TrialConfig:
     off: float = 0.1
     left: float = 1e-20
     decided: float = 1e6
-    needed: float = 1e6
+    needed: float = 1e8
+    smallest: float = 0.4
     freedom: float = 4.0
 
     def __post_init__(self) -> None:
@@ -193,7 +196,9 @@ class Trial:
             return
         self.over = enough or self._blocks >= config.most
         if self.over and needed:
-            self.finding = self._found(best, parts[best])
+            found = self._found(best, parts[best])
+            if abs(found.size) >= config.smallest * self._changes[best].spread:
+                self.finding = found
 
     def _beyond(self, best: int, likely: FloatArray) -> bool:
         """Return whether a change may be larger or smaller than all sizes that were tried out."""

@@ -63,6 +63,15 @@ def test_where_the_unchanged_robot_explains_what_is_measured_nothing_is_named():
         assert tick == 25 * (3 + 16) - 1
 
 
+def test_a_change_that_is_hardly_any_is_learned_and_not_named():
+    """A tenth of how large it may well be, though it is seen beyond doubt."""
+    for share, named in ((0.1, False), (1.0, True)):
+        trial = Trial(CHANGES[:1], LEARNED, TrialConfig(needed=10.0))
+        found, _ = tried(trial, BEFORE + [share, 0.0, 0.0, 0.0], seed=2)
+        assert (found is not None) is named
+        assert trial._likely.max() > trial._likely[0] + 4.0
+
+
 def test_what_none_of_them_explains_is_unknown():
     trial = Trial(CHANGES, LEARNED)
     found, _ = tried(trial, BEFORE + [0.8, 0.0, 0.0, 0.0], knocked=1.5)
