@@ -125,3 +125,34 @@ def test_peak_without_a_top_is_the_likeliest_give_or_take_what_lies_between():
     found = peak(np.array([1.0, 2.0, 4.0]), np.array([0.0, 1e-3, 2e-3]))
     assert found == pytest.approx((4.0, 4.0 * np.log(2.0)))
     assert peak(np.array([1.0]), np.array([-4.0])) == (1.0, 0.0)
+
+
+def test_what_readings_are_off_by_for_good_is_no_change():
+    off = np.array([0.0, 4.0, 0.0, -3.0, 0.0, 0.0])
+    learned = LEARNED._replace(offsets=off)
+    for size, name in ((0.0, None), (1.3, "load")):
+        trial, rng = Trial(CHANGES, learned), np.random.default_rng(4)
+        tick = 0
+        while not trial.over:
+            true = BEFORE + size * CHANGES[0].direction
+            missed = (true - trial.rows) @ slopes(tick) + off * SIGMA
+            noise = SIGMA * rng.standard_normal(READINGS)
+            trial.step(missed + noise, SIGMA, slopes(tick), 0)
+            tick += 1
+        assert (trial.finding and trial.finding.name) == name
+
+
+def test_a_later_part_begins_where_the_nearest_copy_of_the_same_change_was():
+    trial, rng = Trial(CHANGES[:2], LEARNED), np.random.default_rng(5)
+    first, true = trial.rows, BEFORE + [1.3, 0.0, 0.0, 0.0]
+    assert trial.begin is None
+    tick = 0
+    while trial.rows is first:
+        missed = (true - trial.rows) @ slopes(tick) + SIGMA * rng.standard_normal(READINGS)
+        trial.step(missed, SIGMA, slopes(tick), 0)
+        tick += 1
+    begun, later = first[trial.begin] - BEFORE, trial.rows - BEFORE
+    np.testing.assert_array_equal(begun[0], 0.0)
+    # Sizes of the first part are 0.2, 0.5, 1, 2 and 5.
+    assert np.all(begun[later[:, 0] > 0.0][:, 0] == pytest.approx(1.0))
+    assert np.all((begun[1:] != 0.0) == (later[1:] != 0.0))
