@@ -24,6 +24,7 @@ from perception.geometry.checks import check_numbers
 _MOST = 60.0  # Deviations for which a single miss counts at most.
 _STRANGE = 4.0  # Mean squared miss above which what the best twin misses counts as much, and the
 _LITTLE = 0.5  # share of what is missed without it above which that explains too little.
+_STILL = 4  # Last blocks in each of which what is unknown is strange still.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -120,6 +121,8 @@ class Trial:
         count = len(self._learned.deviations)
         self._information: FloatArray = np.zeros((count, count))
         self._blocks, self._count = 0, 0
+        #: Mean squared misses of the unchanged robot, block by block.
+        self._without: list[float] = []
 
     def step(
         self, missed: FloatArray, sigma: FloatArray, sensitivities: FloatArray, kind: int
@@ -156,7 +159,9 @@ class Trial:
         freedom = self._config.freedom
         self._likely -= 0.5 * (freedom + 1.0) * np.log1p(squares / freedom).sum(axis=1)
         self._squares += squares.sum(axis=1)
-        self._count += int(np.count_nonzero(count[0]))
+        measured = int(np.count_nonzero(count[0]))
+        self._count += measured
+        self._without.append(float(squares[0].sum()) / max(1, measured))
         self._blocks += 1
 
     def _told(self) -> tuple[list[FloatArray], list[float]]:
@@ -197,7 +202,10 @@ class Trial:
         self.over = enough or self._blocks >= config.most
         if self.over and needed:
             found = self._found(best, parts[best])
-            if abs(found.size) >= config.smallest * self._changes[best].spread:
+            # What is strange for a while only was a stone.
+            unknown = found.name == UNKNOWN and min(self._without[-_STILL:]) > _STRANGE
+            large = abs(found.size) >= config.smallest * self._changes[best].spread
+            if unknown or (large and found.name != UNKNOWN):
                 self.finding = found
 
     def _beyond(self, best: int, likely: FloatArray) -> bool:

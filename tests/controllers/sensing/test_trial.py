@@ -78,6 +78,19 @@ def test_what_none_of_them_explains_is_unknown():
     assert found is not None and found.name == UNKNOWN
 
 
+def test_what_is_strange_for_a_while_only_was_a_stone():
+    """All that is tried out misses by 6 deviations, a load of 1 by 4.5, for six blocks or more."""
+    for blocks, name in ((6, None), (100, UNKNOWN)):
+        trial, tick = Trial(CHANGES[:1], LEARNED), 0
+        while not trial.over:
+            loads = (trial.rows - BEFORE)[:, :1]
+            by = np.where(loads > 0.0, 4.5 + 0.2 * np.abs(loads - 1.0), 6.0)
+            missed = by * SIGMA * (tick < 25 * blocks)
+            trial.step(missed, SIGMA, slopes(tick), 0)
+            tick += 1
+        assert (trial.finding and trial.finding.name) == name
+
+
 def test_a_size_is_known_no_better_than_what_looks_like_it_was_before():
     """Two deviations that no reading tells apart: what is not known of one is not of the other."""
     known = LEARNED.covariance.copy()
