@@ -24,7 +24,7 @@ import numpy as np
 import scipy.special
 from numpy.typing import NDArray
 
-from controllers.sensing.diagnosis import UNKNOWN, Finding
+from controllers.sensing.diagnosis import Finding
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 
@@ -35,8 +35,6 @@ _MOST = 6.0  # Deviations for which a single innovation counts at most: stones, 
 _LEAST = 1e-3  # Least information that counts, in what is known beforehand.
 _FREELY = 3.0  # How far a change may go that is fitted, over what it may well be.
 _ROUGHEST = 4.0  # Most that a window's variance counts for, over the long-run one.
-_STRANGE = 4.0  # Mean squared deviation above which what the best change leaves counts as much,
-_LITTLE = 0.5  # and its share of what is left without it above which that explains too little.
 _SUSPECTS = 4  # Changes that an alarm suspects.
 
 
@@ -188,20 +186,11 @@ class _Window(NamedTuple):
         ratios: Logarithm of how much likelier they are with it, averaged over its sizes.
         sizes: Its likeliest size.
         sigmas: Standard deviation of that.
-        misfit: How far they are off with the likeliest change, as mean squared deviation.
-        without: How far they are off without any.
     """
 
     ratios: FloatArray
     sizes: FloatArray
     sigmas: FloatArray
-    misfit: float = 0.0
-    without: float = 0.0
-
-    @property
-    def strange(self) -> bool:
-        """Whether the likeliest change leaves too much."""
-        return self.misfit > max(_STRANGE, _LITTLE * self.without)
 
 
 class Learned(NamedTuple):
@@ -440,16 +429,14 @@ class ChangeDetector:
             self._alarmed = -1
             if likely:
                 order = np.argsort(-self.evidence)[:_SUSPECTS]
-                pairs = [self._suspected(found, int(each)) for each in order]
-                self.suspects = [finding for finding, _ in pairs]
-                best, window = pairs[0]
-                yield dataclasses.replace(best, name=UNKNOWN) if window.strange else best
+                self.suspects = [self._suspected(found, int(each)) for each in order]
+                yield self.suspects[0]
 
-    def _suspected(self, windows: Sequence[_Window], change: int) -> tuple[Finding, _Window]:
-        """Return a change as the window shows it in which it is likeliest, and that window."""
+    def _suspected(self, windows: Sequence[_Window], change: int) -> Finding:
+        """Return a change as the window shows it in which it is likeliest."""
         window = max(windows, key=lambda each: float(each.ratios[change]))
         size, sigma = float(window.sizes[change]), float(window.sigmas[change])
-        return Finding(self.changes[change].name, size, sigma, abs(size / sigma)), window
+        return Finding(self.changes[change].name, size, sigma, abs(size / sigma))
 
     def _compare(self, blocks: _Blocks, spared: FloatArray) -> _Window:
         """Return what the latest blocks say of each change.
@@ -464,16 +451,13 @@ class ChangeDetector:
         best = int(np.argmax(window.ratios))
         likeliest = self._directions[best] * _FREELY * self._sizes[best]
         squares, count = self._left_by(blocks, spared, *told, likeliest)
-        none = np.zeros_like(likeliest)
-        without = self._left_by(blocks, spared, *told, none)[0].sum() / count.sum()
         freedom = self._config.freedom
         rough = (freedom + squares) / (freedom + count)
         rough = np.clip(rough, 1.0, _ROUGHEST)
-        misfit = float(squares.sum() / count.sum())
         window = self._weigh(*blocks.weighed(variances * rough), spared)
         cannot = np.abs(self._changes) @ blocks.refuted.any(axis=0) > 0.0
         ratios = np.where(cannot, -np.inf, window.ratios)
-        return window._replace(ratios=ratios, misfit=misfit, without=float(without))
+        return window._replace(ratios=ratios)
 
     def _left_by(
         self,
@@ -490,7 +474,7 @@ class ChangeDetector:
             spared: Inverse of the covariance before it.
             information: (k + n, k + n) what they tell.
             score: (k + n,) likewise.
-            change: (k + n,) its direction, as far as it may go; zeros for none.
+            change: (k + n,) its direction, as far as it may go.
 
         Returns:
             (n,) sums of the squares of what each reading is off by still, over their variance, and

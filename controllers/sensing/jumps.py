@@ -45,8 +45,8 @@ class Jump:
 
     Attributes:
         joint: Number of the joint.
-        size: By how much [rad].
-        sigma: Standard deviation of that [rad].
+        size: Angle by which its zero jumped [rad].
+        sigma: Standard deviation of the size [rad].
     """
 
     joint: int

@@ -70,6 +70,7 @@ class TrialConfig:
         """
         names = "block", "first", "least", "most", "parts", "left", "decided", "needed", "freedom"
         check_numbers("trial", self, *names)
+        check_numbers("trial", self, "off", "smallest", zero=True)
 
 
 class Trial:

@@ -51,7 +51,8 @@ class Deviation:
         write: Function that gives it to a compiled model.
         supply: Share of each motor's voltage that is lost by one unit, by name of the axis.
         reading: What one unit adds to readings, by channel and number.
-        encoder: Of what sticks or is blocked the readings of that part, by channel and number.
+        encoder: Readings of the encoder of a part that sticks or is blocked, by channel and number;
+            none for what else may differ.
         blocked: Joint that is blocked, by its name in the model; empty for what sticks.
         usual: What happens to it later is usually of this size: 1 of what happens wholly or not.
         most: Largest number, to either side, that there can be.

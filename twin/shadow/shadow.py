@@ -125,6 +125,7 @@ class Shadow:
         self._axes = np.array([model.actuator(f"{robot.name}/{name}").id for name in robot.axes])
         threads = self._config.threads
         count = len(self.deviations)
+        self._units = np.array([each.step for each in self.deviations])
         #: (k, n) readings of the encoder of what sticks or is blocked.
         self._own = np.zeros((count, self._readings.size), dtype=bool)
         for row, each in zip(self._own, self.deviations):
@@ -154,7 +155,6 @@ class Shadow:
     def know(self, values: FloatArray) -> None:
         """Give the twin deviations (k,), as they were identified; the state stays."""
         self.known = np.array(values, dtype=float)
-        self._units = np.array([each.step for each in self.deviations])
         rows = np.vstack([self.known, self.known + np.diag(self._units), self.known])
         self._run(rows, [self._hasty(row) for row in rows])
         self._gain = SteadyGain(

@@ -126,6 +126,14 @@ def add_load(model):
     mujoco.mj_setConst(model, mujoco.MjData(model))
 
 
+def work_loaded(kept):
+    """Let a rover with that load work for five seconds."""
+    field = FieldConfig(size=(6.0, 6.0), texture_pixels=16)
+    with connect("sim", field=field, realism="ideal", seed=4) as connection:
+        add_load(connection.simulation.model)
+        run(connection.robots, [Working()], connection.clock, [kept], 5.0)
+
+
 def soften(model):
     model.joint(f"{ROBOT}/front_left_suspension_joint").stiffness[0] *= 0.6
 
@@ -218,10 +226,7 @@ def test_what_is_tried_out_is_what_the_twin_would_miss_if_it_knew_it():
                     self._shadow.try_out(np.array([[0.05], [0.1]]))
 
         kept = Trying(shadow)
-        field = FieldConfig(size=(6.0, 6.0), texture_pixels=16)
-        with connect("sim", field=field, realism="ideal", seed=4) as connection:
-            add_load(connection.simulation.model)
-            run(connection.robots, [Working()], connection.clock, [kept], 5.0)
+        work_loaded(kept)
         shadow.close()
         late = kept.found[400:]
         misses[known] = np.nanmean([(each.values / each.sigma) ** 2 for each in late])
@@ -256,10 +261,7 @@ def test_it_foresees_by_what_is_applied_and_by_what_it_is_told():
                     self._shadow.foresee(np.array([told]))
 
         kept = Foreseeing(shadow)
-        field = FieldConfig(size=(6.0, 6.0), texture_pixels=16)
-        with connect("sim", field=field, realism="ideal", seed=4) as connection:
-            add_load(connection.simulation.model)
-            run(connection.robots, [Working()], connection.clock, [kept], 5.0)
+        work_loaded(kept)
         shadow.close()
         angles = shadow.channels["arm_angles"]
         errors.append([np.abs(each.foreseen[angles]).max() for each in kept.found])
