@@ -292,7 +292,7 @@ _ALL: tuple[Experiment, ...] = (
         thesis="beyond the thesis",
         module="experiments.living.living_twin",
         example="--seeds 3 --learning 60 --unchanged 600",
-        full="ten hours",
+        full="30 hours",
     ),
     Experiment(
         name="bench",

@@ -141,11 +141,11 @@ def run_living_mission(trial: LivingMission) -> LivingOutcome:
     """
     with prepared(MissionTrial(trial.seed)) as mission:
         happening = Happening(mission, trial.change)
-        tells = TwinTells(mission) if trial.watched else None
-        result = perform(mission, [happening, *([] if tells is None else [tells])])
-        named = () if tells is None else tells.named
-        if tells is not None:
-            tells.close()
+        tells = [TwinTells(mission)] if trial.watched else []
+        result = perform(mission, [happening, *tells])
+        named = tuple(each for one in tells for each in one.named)
+        for one in tells:
+            one.close()
     return LivingOutcome(result.success, result.reason, result.seconds, happening.time, named)
 
 
