@@ -174,7 +174,7 @@ def near_scene(seed: int) -> MissionScene:
 @pytest.mark.timeout(1500)
 def test_a_mission_that_begins_near_the_slot_finds_the_panel_and_ends_or_says_why() -> None:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(trial_room, "LIMIT", 150.0)
+        patch.setattr(trial_room, "LIMIT", 65.0)
         with prepared(MissionTrial(1, only="approach"), near_scene(1)) as played:
             ended = perform(played)
     assert list(ended.stages) == list(STAGES[: len(ended.stages)]) and "search" in ended.stages
