@@ -50,6 +50,8 @@ class Change:
         sign: 1 or -1 for one whose size is above or below zero only; 0 for both.
         usual: Size that it usually has: 1 of what happens wholly or not at all.
         most: Largest size, to either side, that there can be.
+        wholly: Name of the change that it is where it is as large as that, which happens wholly or
+            not at all; empty if it is still itself.
     """
 
     name: str
@@ -59,6 +61,7 @@ class Change:
     sign: int = 0
     usual: float = 0.0
     most: float = math.inf
+    wholly: str = ""
 
 
 @dataclasses.dataclass(frozen=True)

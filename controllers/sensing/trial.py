@@ -103,10 +103,22 @@ class Trial:
         self._parts = 1
         self.begin: list[int] | None = None
         signed = [(each, sign * each.spread) for each in suspects for sign in _signs(each)]
-        self._try(signed, self._config.coarse)
+        self._try(signed, self._config.coarse, [0.0] * len(signed))
 
-    def _try(self, suspects: Sequence[tuple[Change, float]], shares: Sequence[float]) -> None:
-        """Begin a part, with shares of given sizes of some changes."""
+    def _try(
+        self,
+        suspects: Sequence[tuple[Change, float]],
+        shares: Sequence[float],
+        before: Sequence[float],
+    ) -> None:
+        """Begin a part, with shares of given sizes of some changes.
+
+        Args:
+            suspects: The changes, with their sizes.
+            shares: Shares of these.
+            before: Logarithm of how much likelier each was than no change in the parts before.
+        """
+        self._told_before = before
         self._changes = [change for change, _ in suspects]
         self._sizes = [_sizes(change, size, shares) for change, size in suspects]
         added = [
@@ -166,23 +178,27 @@ class Trial:
         self._blocks += 1
 
     def _told(self) -> tuple[list[FloatArray], list[float]]:
-        """Return how likely each size of each change is, and each change."""
+        """Return how likely each size is in this part, and each change over no change in all."""
         parts = np.split(self._likely[1:], np.cumsum([len(each) for each in self._sizes])[:-1])
-        return parts, [float(np.logaddexp.reduce(part)) - math.log(len(part)) for part in parts]
+        means = [float(np.logaddexp.reduce(part)) - math.log(len(part)) for part in parts]
+        without = float(self._likely[0])
+        return parts, [each + mean - without for each, mean in zip(self._told_before, means)]
 
     def _refine(self) -> None:
         """Begin another part, with the changes that are left."""
         parts, likely = self._told()
         limit = max(likely) + math.log(self._config.left)
         left: list[tuple[Change, float]] = []
-        rows, row = list[int](), 1
+        rows, before, row = list[int](), list[float](), 1
         for change, sizes, part, each in zip(self._changes, self._sizes, parts, likely):
             if each > limit:
                 left.append((change, peak(sizes, part)[0]))
                 rows.append(row + int(np.argmax(part)))
+                # The first part's sizes are far apart: one that lies between them counts for less.
+                before.append(each if self._parts > 1 else 0.0)
             row += len(part)
         self._parts += 1
-        self._try(left, self._config.fine)
+        self._try(left, self._config.fine, before)
         self.begin = [0, *np.repeat(rows, [len(each) for each in self._sizes]).tolist()]
 
     def _judge(self) -> None:
@@ -190,7 +206,7 @@ class Trial:
         config = self._config
         parts, likely = self._told()
         best, *others = sorted(range(len(likely)), key=lambda each: -likely[each])
-        needed = likely[best] - self._likely[0] > math.log(config.needed)
+        needed = likely[best] > math.log(config.needed)
         decided = not others or likely[best] - likely[others[0]] > math.log(config.decided)
         enough = self._blocks >= config.least and needed and decided
         limit = likely[best] + math.log(config.left)
@@ -227,6 +243,9 @@ class Trial:
         explains_little = misfit > max(_STRANGE, _LITTLE * without)
         name = UNKNOWN if explains_little else change.name
         beyond = math.sqrt(2.0 * max(0.0, float(likely.max() - self._likely[0])))
+        likeliest = abs(float(self._sizes[best][int(np.argmax(likely))]))
+        if name == change.name and change.wholly and likeliest >= change.most:
+            return Finding(change.wholly, 1.0, 0.0, beyond)
         return Finding(name, size, sigma, beyond)
 
     def _before(self, change: Change) -> float:

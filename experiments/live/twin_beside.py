@@ -24,7 +24,7 @@ from twin.shadow.shadow import Innovation, Shadow, ShadowConfig
 AHEAD = 1.0
 """How far the twin predicts [s], once in that time."""
 PATCHES = 0.25
-"""How far friction below a wheel wanders on ground with patches, as a share of the drawing's."""
+"""How far friction below a wheel wanders on rough ground, as a share of the drawing's."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,7 +93,8 @@ class TwinBeside:
         begin: Time of the rover's own zero [s].
         memory: What is known of it already; None for nothing.
         threads: Count of threads that share its models.
-        patches: Whether the ground has patches of friction, on which less grip is no change.
+        rough: Whether the ground is uneven and has patches of friction, on which neither less grip
+            nor a tilt is a change.
 
     Attributes:
         drawn: The rover as drawn.
@@ -114,16 +115,16 @@ class TwinBeside:
         begin: float = 0.0,
         memory: TwinMemory | None = None,
         threads: int = 2,
-        patches: bool = False,
+        rough: bool = False,
     ) -> None:
         self.drawn = describe_rover(placed.name, card=placed.card, mast=placed.mast)
         self.deviations = rover_deviations(self.drawn)
-        config = ShadowConfig(threads=threads)
+        config = ShadowConfig(threads=threads, even=not rough)
         self.shadow = Shadow(shadow_scene(placed), self.drawn, self.deviations, config)
         usual, ticks = ChangeConfig(), round(learning / SERVO_PERIOD)
         self._config = dataclasses.replace(usual, learning=max(1, ticks // usual.block))
         spreads = np.array([each.spread for each in self.deviations])
-        wander = np.array([patches and each.name.startswith("grip") for each in self.deviations])
+        wander = np.array([rough and each.name.startswith("grip") for each in self.deviations])
         walks = np.where(wander, PATCHES / spreads, usual.walk)
         self._changes = changes_of(
             [dataclasses.replace(each, change=0.0) if fixed else each
@@ -287,7 +288,9 @@ def changes_of(deviations: Sequence[Deviation]) -> list[Change]:
     """Return the changes that there may be: of each deviation, and of all motors' supply."""
     rows = np.eye(len(deviations))
     single = [
-        Change(each.name, each.unit, row, each.change, each.sign, each.usual, each.most)
+        Change(
+            each.name, each.unit, row, each.change, each.sign, each.usual, each.most, each.wholly
+        )
         for each, row in zip(deviations, rows)
         if each.change > 0.0
     ]

@@ -107,7 +107,7 @@ class TwinTells(LoopRecorder):
     def __init__(self, mission: Mission) -> None:
         placed = next(each for each in mission.scene.robots if each.name == SLAVE)
         known = RobotPlacement(SLAVE, card=placed.card, mast=placed.mast, stereo=placed.stereo)
-        self._twin = TwinBeside(known, LEARNING, threads=1, patches=True)
+        self._twin = TwinBeside(known, LEARNING, threads=1, rough=True)
         self._part = mission.team.slave
 
     @property

@@ -56,6 +56,7 @@ class Deviation:
         blocked: Joint that is blocked, by its name in the model; empty for what sticks.
         usual: What happens to it later is usually of this size: 1 of what happens wholly or not.
         most: Largest number, to either side, that there can be.
+        wholly: What it is called where it is as large as that; empty if it is still itself.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Deviation:
     blocked: str = ""
     usual: float = 0.0
     most: float = math.inf
+    wholly: str = ""
 
     @property
     def sticks(self) -> bool:
@@ -152,12 +154,11 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
         spread = TOLERANCES.joint_friction * _UNIFORM * joint.friction
         found.append(Deviation(f"drag {joint.name}", "N m", spread, 0.3, 1, 0.05, friction))
     for axis in robot.axes:
-        found.append(
-            Deviation(f"supply {axis}", "1", 0.05, 0.3, 1, 0.2, supply={axis: 1.0}, most=WEAKEST)
-        )
+        supply = Deviation(f"supply {axis}", "1", 0.05, 0.3, 1, 0.2, supply={axis: 1.0})
+        found.append(dataclasses.replace(supply, most=WEAKEST, wholly=f"blocked {axis}"))
     zeros = {
         "arm_angles": (robot.joint_names, "rad", SENSOR_ERRORS.encoder_zero, 0.005),
-        "inclinometer": (("pitch", "roll"), "rad", SENSOR_ERRORS.inclinometer_zero, 0.005),
+        "inclinometer": (("pitch", "roll"), "rad", SENSOR_ERRORS.inclinometer_zero, 0.03),
     }
     for channel, (labels, unit, most, step) in zeros.items():
         for number, label in enumerate(labels):

@@ -46,20 +46,28 @@ LEADING = 1.0
 """Time constant with which a copy whose sensor sticks is led back to the twin [s]."""
 BEGINNING = 2.0
 """Time in which the twin comes to rest before it begins [s]."""
+FAR = 20.0
+"""Time constant of the mean slope of the ground that was driven over [s]."""
+UNEVEN = 0.02
+"""Standard deviation that the ground's slope may have about that [rad]; a detector learns it."""
 
 
 class Innovation(NamedTuple):
     """What was measured, against what the twin expected.
 
+    Beside the n readings of the channels it has pitch and roll of the ground that was driven over,
+    less those of the ground below a rover that drives, as a tilt that drives along is not the
+    ground's; on uneven ground they are NaN.
+
     Attributes:
         time: Robot time of the observation [s].
-        values: (n,) measured less expected; NaN where nothing new was measured.
-        sigma: (n,) their standard deviations, if the robot is as the twin.
-        sensitivities: (k, n) change of the expected by one unit of each deviation.
+        values: (n + 2,) measured less expected; NaN where nothing new was measured.
+        sigma: (n + 2,) their standard deviations, if the robot is as the twin.
+        sensitivities: (k, n + 2) change of the expected by one unit of each deviation.
         driving: Whether the rover drives, or did a moment ago.
         swinging: Whether its arm swings, or did a moment ago.
         refuted: (k,) deviations that cannot be, as the part moves that would stick or be blocked.
-        tried: (m, n) measured less what was expected with the deviations of `Shadow.try_out`.
+        tried: (m, n + 2) measured less what was expected with the deviations of `Shadow.try_out`.
         foreseen: (n,) measured less what was expected when `Shadow.foresee` was called last.
     """
 
@@ -81,10 +89,12 @@ class ShadowConfig:
     Attributes:
         noise: What the model does not know.
         threads: Count of threads that share the models.
+        even: Whether the ground is even, level or not, so that a tilt which drives along shows.
     """
 
     noise: ShadowNoise = ShadowNoise()
     threads: int = 2
+    even: bool = True
 
 
 class Shadow:
@@ -144,6 +154,8 @@ class Shadow:
         self._states: FloatArray = np.eye(size)[4:5]
         #: Slope in pitch and roll, as the world looks, and twist, of each.
         self._grounds: FloatArray = np.zeros((1, 3))
+        #: Mean slope that the twin drove over, as the world looks.
+        self._far: FloatArray = np.zeros(2)
         self._tilts: FloatArray = np.zeros((1, 2))
         self.know(np.zeros(count))
         self.reset()
@@ -218,9 +230,12 @@ class Shadow:
     @property
     def slope(self) -> FloatArray:
         """(2,) of the ground where it stands, in pitch and roll [rad]."""
-        right, forward = self._grounds[0, 1], -self._grounds[0, 0]
-        right, forward = _turn(-self._heading) @ [right, forward]
-        return np.array([-forward, right])
+        return self._as_it_looks(self._grounds[:1, :2])[0]
+
+    def _as_it_looks(self, slopes: FloatArray) -> FloatArray:
+        """Return slopes (m, 2), as the world looks, as the rover looks."""
+        right, forward = _turn(-self._heading) @ [slopes[:, 1], -slopes[:, 0]]
+        return np.column_stack([-forward, right])
 
     @property
     def _heading(self) -> float:
@@ -278,17 +293,28 @@ class Shadow:
         square = min(square, (_CAPPED * LOST) ** 2) if math.isfinite(square) else math.inf
         self._missed += (square - self._missed) / _PATIENCE
         usual = 1 + len(self.deviations)
+        tilted = self._tilted(driving)
+        effects = [self._effects(expected[1:usual] - expected[0]), tilted[1:usual] - tilted[0]]
+        told = driving and self._config.even
+        values = np.hstack([innovations, -tilted if told else np.full_like(tilted, np.nan)])
         return Innovation(
             seen.time,
-            innovations[0],
-            self._gain.sigma,
-            self._effects(expected[1:usual] - expected[0]) / self._units[:, None],
+            values[0],
+            np.append(self._gain.sigma, [UNEVEN, UNEVEN]),
+            np.hstack(effects) / self._units[:, None],
             driving,
             seen.time - self._swung < LINGERING,
             self._refuted(measured),
-            innovations[usual:-1],
+            values[usual:-1],
             innovations[-1],
         )
+
+    def _tilted(self, driving: bool) -> FloatArray:
+        """Return slopes (m, 2) less that of the ground which was driven over, and learn this."""
+        slopes = self._grounds[:, :2]
+        if driving:
+            self._far += SERVO_PERIOD / FAR * (slopes[0] - self._far)
+        return self._as_it_looks(slopes - self._far)
 
     def _effects(self, effects: FloatArray) -> FloatArray:
         """Return effects (k, n) less those of what sticks or is blocked that noise makes, too.
@@ -373,6 +399,7 @@ class Shadow:
         self._grounds[:, :2] = np.asarray(seen.inclinometer.value, dtype=float) - tilt
         if seen.centre_angle.usable:
             self._grounds[:, 2:] = seen.centre_angle.value - data.qpos[self._readings.centre[:1]]
+        self._far = self._grounds[0, :2].copy()
         self._tilts = np.tile(tilt, (count, 1)) + self._grounds[:, :2]
         self._tilt_gravity()
         return True

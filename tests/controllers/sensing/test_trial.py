@@ -18,6 +18,7 @@ CHANGES = [
     Change("zero", "rad", np.eye(COUNT)[2], 0.3),
     Change("stuck", "1", np.eye(COUNT)[3], 0.2, usual=1.0),
 ]
+SUPPLY = Change("supply", "1", np.eye(COUNT)[1], 0.3, 1, most=0.9, wholly="blocked")
 
 
 def slopes(tick):
@@ -25,15 +26,16 @@ def slopes(tick):
     return 2.0 * wave * SIGMA
 
 
-def tried(trial, true, seed=1, knocked=0.0, most=1000):
+def tried(trial, true, seed=1, knocked=0.0, strength=1.0):
     """Run a trial beside a robot that deviates by so much; returns what came of it, and when."""
     rng = np.random.default_rng(seed)
-    for tick in range(most):
+    for tick in range(1000):
         noise = SIGMA * rng.standard_normal(READINGS)
         strange = knocked * SIGMA * np.sign(np.sin(0.11 * tick + np.arange(READINGS) ** 2))
-        missed = noise + strange + (true - trial.rows) @ slopes(tick)
+        told = strength * slopes(tick)
+        missed = noise + strange + (true - trial.rows) @ told
         missed[:, 2] = np.nan if tick % 2 else missed[:, 2]
-        trial.step(missed, SIGMA, slopes(tick), tick % KINDS)
+        trial.step(missed, SIGMA, told, tick % KINDS)
         if trial.over:
             return trial.finding, tick
     raise AssertionError("it does not end")
@@ -53,6 +55,26 @@ def test_what_happened_is_named_with_its_size_among_others(index, size):
     config = TrialConfig()
     soonest = config.block * (config.first + config.least)
     assert soonest - 1 == min(ticks) <= max(ticks) < config.block * (config.first + config.most)
+
+
+def test_what_earlier_parts_told_counts_in_the_later_ones():
+    """Ten times fainter than usual, and larger than any size of the second part."""
+    config, named = TrialConfig(), 0
+    for seed in range(10):
+        true = BEFORE + 1.5 * CHANGES[2].direction
+        found, tick = tried(Trial(CHANGES, LEARNED), true, seed, strength=0.1)
+        named += found is not None
+        # What the second part takes its time for, the third and fourth need not show anew.
+        later = config.first + config.most + 2 * config.least
+        assert found is None or tick < config.block * later
+    assert named >= 8  # noqa: PLR2004
+
+
+@pytest.mark.parametrize(("lost", "name"), [(0.7, "supply"), (1.0, "blocked")])
+def test_what_is_lost_wholly_has_a_name_of_its_own(lost, name):
+    found, _ = tried(Trial([SUPPLY], LEARNED), BEFORE + lost * SUPPLY.direction)
+    assert found is not None and found.name == name
+    assert found.size == (1.0 if name == "blocked" else pytest.approx(lost, abs=0.05))
 
 
 def test_where_the_unchanged_robot_explains_what_is_measured_nothing_is_named():

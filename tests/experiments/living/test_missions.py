@@ -61,8 +61,8 @@ def test_the_slave_is_told_what_its_twin_names_until_it_inserts_the_card(monkeyp
     made = []
 
     class Twin:
-        def __init__(self, placed, learning, threads, patches):
-            made.append((placed, patches))
+        def __init__(self, placed, learning, threads, rough):
+            made.append((placed, rough))
             self.named, self.ticks = [], 0
 
         def step(self, tick):

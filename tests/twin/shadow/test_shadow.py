@@ -79,7 +79,9 @@ def quarters(found, what):
     """Means of a quarter of a second, in deviations; wheels that slide anew each time cancel."""
     rows = np.array([getattr(each, what) / each.sigma for each in found[100:]])
     count = len(rows) // 25
-    return np.nanmean(rows[: 25 * count].reshape(count, 25, -1), axis=1)
+    parts = rows[: 25 * count].reshape(count, 25, -1)
+    there = np.isfinite(parts)
+    return np.where(there, parts, 0.0).sum(axis=1) / np.maximum(there.sum(axis=1), 1)
 
 
 @pytest.fixture(scope="module")
@@ -196,6 +198,26 @@ def test_a_copy_whose_encoder_sticks_explains_one_that_sticks():
     left = [np.nansum(np.square(values - row)) for row in slopes.swapaxes(0, 1)]
     assert [each.name for each in chosen] == list(names)
     assert left[0] < left[1] - 2.0 * np.log(1e6), left
+
+
+def test_a_tilt_that_drives_along_is_told_from_that_of_the_ground():
+    """The roll's zero drifts after ten seconds, while the rover turns."""
+
+    def drifting(seen):
+        drift = [0.0, 0.03 * (seen.time >= 10.0)]  # noqa: PLR2004
+        tilt = seen.inclinometer
+        return seen._replace(inclinometer=tilt._replace(value=np.asarray(tilt.value) + drift))
+
+    chosen = [each for each in rover_deviations(DRAWN) if each.name == "zero roll"]
+    _, found = beside(15.0, chosen, seen=drifting, motion=Turning())
+    before, later = (
+        np.array([each.values[-2:] for each in part]).mean(axis=0)
+        for part in (found[500:1000], found[1100:])
+    )
+    assert before == pytest.approx(0.0, abs=0.012)
+    assert later - before == pytest.approx([0.0, -0.03], abs=0.01)
+    effect = np.array([each.sensitivities[0, -2:] for each in found[500:]]).mean(axis=0)
+    assert effect == pytest.approx([0.0, -1.0], abs=0.35)
 
 
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.1, 0.12)])
