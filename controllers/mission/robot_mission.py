@@ -16,7 +16,7 @@ from controllers.mission.stages.give_way import GiveWay
 from controllers.mission.stages.identify import SwingArm
 from controllers.mission.stages.insert import InsertCard
 from controllers.sensing.consequences import Consequence, consequence_of, on_springs
-from controllers.sensing.diagnosis import Finding
+from controllers.sensing.diagnosis import UNKNOWN, Finding
 from twin.robot import Command, Observation
 
 _MOST_WAYS = 4  # Number of times that a rover gives way.
@@ -91,8 +91,9 @@ class RobotMission:
     def told(self, finding: Finding) -> Consequence:
         """Take a change of the rover that its twin named, and return what it means.
 
-        The rover goes on, drives at half its speeds, or stops. What moves its pitch dynamics lets
-        it swing its arm anew before the next stage.
+        The rover goes on, drives at half its speeds, or stops. Of a change that is not known it
+        goes on slower, as nobody is there to look. What moves its pitch dynamics lets it swing its
+        arm anew before the next stage.
 
         Args:
             finding: A change of those of `twin.shadow.deviations`.
@@ -101,6 +102,8 @@ class RobotMission:
             StageError: If it cannot go on, with what changed.
         """
         consequence, reason = consequence_of(finding, self.belief.robot)
+        if finding.name == UNKNOWN:
+            consequence = Consequence.SLOWER
         if consequence is Consequence.STOP:
             raise StageError(self.stage.name, reason)
         if consequence is Consequence.SLOWER:

@@ -68,6 +68,7 @@ def speeds(part):
         ("drag front_left", 0.2, Consequence.GO_ON),
         ("drag front_left", 1.5, Consequence.SLOWER),
         ("grip rear_right", -0.5, Consequence.SLOWER),
+        (UNKNOWN, 0.0, Consequence.SLOWER),
     ],
 )
 def test_it_goes_on_as_before_or_at_half_its_speeds(rover, name, size, consequence):
@@ -85,7 +86,6 @@ def test_it_goes_on_as_before_or_at_half_its_speeds(rover, name, size, consequen
     [
         ("blocked front_left", 1.0, "front left is blocked"),
         ("supply elbow", 0.8, "the motor of elbow has lost torque"),
-        (UNKNOWN, 0.0, "what changed is not known"),
     ],
 )
 def test_it_stops_with_what_changed(rover, name, size, why):
