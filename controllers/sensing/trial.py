@@ -24,6 +24,7 @@ from perception.geometry.checks import check_numbers
 _MOST = 60.0  # Deviations for which a single miss counts at most.
 _STRANGE = 4.0  # Mean squared miss above which what the best twin misses counts as much, and the
 _LITTLE = 0.5  # share of what is missed without it above which that explains too little.
+_TELLING = 9.0  # Squared miss of the unchanged robot from which on what sticks misses less.
 _STILL = 4  # Last blocks in each of which what is unknown is strange still.
 
 
@@ -45,6 +46,7 @@ class TrialConfig:
         needed: Ratio of likelihoods to no change from which on one is named at all.
         smallest: Least size that is named, over how large the change may well be: smaller ones are
             learned.
+        sure: Least size that is named, over its standard deviation.
         freedom: Degrees of freedom of Student's distribution of the misses.
     """
 
@@ -60,6 +62,7 @@ class TrialConfig:
     decided: float = 1e6
     needed: float = 1e8
     smallest: float = 0.4
+    sure: float = 1.3
     freedom: float = 4.0
 
     def __post_init__(self) -> None:
@@ -70,7 +73,7 @@ class TrialConfig:
         """
         names = "block", "first", "least", "most", "parts", "left", "decided", "needed", "freedom"
         check_numbers("trial", self, *names)
-        check_numbers("trial", self, "off", "smallest", zero=True)
+        check_numbers("trial", self, "off", "smallest", "sure", zero=True)
 
 
 class Trial:
@@ -127,6 +130,10 @@ class Trial:
             for size in sizes
         ]
         self.rows: FloatArray = self._learned.deviations + np.vstack([0.0 * added[0], *added])
+        #: (m,) which of them have what happens wholly or not at all.
+        self._whole = np.repeat(
+            [bool(each.usual) for each in self._changes], [len(each) for each in self._sizes]
+        )
         #: Misses of this block's ticks.
         self._ticks: list[tuple[FloatArray, FloatArray, int]] = []
         self._likely: FloatArray = np.zeros(len(self.rows))
@@ -167,6 +174,9 @@ class Trial:
         mean = np.where(there, missed, 0.0).sum(axis=0) / np.maximum(count, 1)
         weights = count / self._learned.variances[kind]
         squares = np.square(mean) * weights
+        # What sticks or is blocked expects readings to the bit: that it misses no noise is no news.
+        noise = np.minimum(squares[0], _TELLING)
+        squares[1:] = np.maximum(squares[1:], self._whole[:, None] * noise)
         slope = slopes.mean(axis=0)
         self._information += (slope * weights[0]) @ slope.T
         freedom = self._config.freedom
@@ -221,7 +231,8 @@ class Trial:
             found = self._found(best, parts[best])
             # What is strange for a while only was a stone.
             unknown = found.name == UNKNOWN and min(self._without[-_STILL:]) > _STRANGE
-            large = abs(found.size) >= config.smallest * self._changes[best].spread
+            smallest = config.smallest * self._changes[best].spread
+            large = abs(found.size) >= max(smallest, config.sure * found.sigma)
             if unknown or (large and found.name != UNKNOWN):
                 self.finding = found
 

@@ -94,7 +94,7 @@ class TwinBeside:
         memory: What is known of it already; None for nothing.
         threads: Count of threads that share its models.
         rough: Whether the ground is uneven and has patches of friction, on which neither less grip
-            nor a tilt is a change.
+            nor a tilt or twist is a change.
 
     Attributes:
         drawn: The rover as drawn.

@@ -57,7 +57,7 @@ class Innovation(NamedTuple):
 
     Beside the n readings of the channels it has pitch and roll of the ground that was driven over,
     less those of the ground below a rover that drives, as a tilt that drives along is not the
-    ground's; on uneven ground they are NaN.
+    ground's; on uneven ground they are NaN, and so is the centre angle, which the ground twists.
 
     Attributes:
         time: Robot time of the observation [s].
@@ -89,7 +89,8 @@ class ShadowConfig:
     Attributes:
         noise: What the model does not know.
         threads: Count of threads that share the models.
-        even: Whether the ground is even, level or not, so that a tilt which drives along shows.
+        even: Whether the ground is even, level or not, so that what tilts or twists the rover is
+            its own.
     """
 
     noise: ShadowNoise = ShadowNoise()
@@ -295,8 +296,9 @@ class Shadow:
         usual = 1 + len(self.deviations)
         tilted = self._tilted(driving)
         effects = [self._effects(expected[1:usual] - expected[0]), tilted[1:usual] - tilted[0]]
-        told = driving and self._config.even
-        values = np.hstack([innovations, -tilted if told else np.full_like(tilted, np.nan)])
+        values = np.hstack([innovations, -tilted if driving else np.full_like(tilted, np.nan)])
+        if not self._config.even:
+            values[:, [self.channels["centre_angle"].start, -2, -1]] = np.nan
         return Innovation(
             seen.time,
             values[0],

@@ -77,6 +77,25 @@ def test_what_is_lost_wholly_has_a_name_of_its_own(lost, name):
     assert found.size == (1.0 if name == "blocked" else pytest.approx(lost, abs=0.05))
 
 
+@pytest.mark.parametrize(("before", "named"), [(0.1, True), (1.0, False)])
+def test_what_may_as_well_be_as_it_was_is_not_named(before, named):
+    """Half a unit, of a robot that is known to a tenth of one or to one."""
+    learned = LEARNED._replace(covariance=before**2 * np.eye(COUNT))
+    found, _ = tried(Trial(CHANGES[2:3], learned), BEFORE + 0.5 * CHANGES[2].direction)
+    assert (found is not None) == named
+
+
+def test_an_encoder_that_rests_has_not_stuck():
+    """What sticks would expect its reading to the bit, which the unchanged robot has noise in."""
+    for seed in range(5):
+        rng, trial = np.random.default_rng(seed), Trial(CHANGES[3:], LEARNED)
+        while not trial.over:
+            missed = np.tile(SIGMA * rng.standard_normal(READINGS), (len(trial.rows), 1))
+            missed[1:, :3] = 0.0
+            trial.step(missed, SIGMA, slopes(0), 0)
+        assert trial.finding is None
+
+
 def test_where_the_unchanged_robot_explains_what_is_measured_nothing_is_named():
     for seed in range(8):
         trial = Trial(CHANGES, LEARNED)

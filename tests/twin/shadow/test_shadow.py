@@ -14,7 +14,7 @@ from twin.robot import MISSING, ArmMode, Command, WheelMode
 from twin.shadow.deviations import hasten, rover_deviations, shadow_scene
 from twin.shadow.gain import ShadowNoise, SteadyGain
 from twin.shadow.readings import CHANNELS, Readings, apparent_tilt
-from twin.shadow.shadow import Shadow
+from twin.shadow.shadow import Shadow, ShadowConfig
 
 ROBOT = "rover1"
 DRAWN = describe_rover(ROBOT)
@@ -62,9 +62,11 @@ def beside(
     seen=lambda each: each,
     slope=(0.0, 0.0),
     motion=None,
+    even=True,
 ):
     field = FieldConfig(size=(6.0, 6.0), texture_pixels=16, slope=slope)
-    shadow = Shadow(shadow_scene(RobotPlacement(ROBOT)), DRAWN, deviations)
+    config = ShadowConfig(even=even)
+    shadow = Shadow(shadow_scene(RobotPlacement(ROBOT)), DRAWN, deviations, config)
     shadow.know(np.full(len(deviations), known))
     beside = Beside(shadow, seen)
     with connect("sim", field=field, realism="ideal", seed=4) as connection:
@@ -218,6 +220,14 @@ def test_a_tilt_that_drives_along_is_told_from_that_of_the_ground():
     assert later - before == pytest.approx([0.0, -0.03], abs=0.01)
     effect = np.array([each.sensitivities[0, -2:] for each in found[500:]]).mean(axis=0)
     assert effect == pytest.approx([0.0, -1.0], abs=0.35)
+
+
+def test_on_uneven_ground_neither_a_tilt_that_drives_along_nor_a_twist_tells_anything():
+    shadow, found = beside(1.0, (), even=False)
+    values = np.array([each.values for each in found])
+    silent = [shadow.channels["centre_angle"].start, -2, -1]
+    assert np.isnan(values[:, silent]).all()
+    assert np.isfinite(np.delete(values, silent, axis=1)).any(axis=0).all()
 
 
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.1, 0.12)])
