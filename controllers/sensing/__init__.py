@@ -7,7 +7,7 @@
 - `diagnosis`: a load on the base, soft springs or a worn tyre, by name and size.
 - `changes`: what may have changed, found in the innovations of a twin that runs beside the robot.
 - `trial`: which of that it was, and how large, by copies of the twin that have it.
-- `jumps`: encoders whose zero jumps.
+- `jumps`, `loose_camera`: encoders whose zero jumps, and an eye that turned in its head.
 - `consequences`, `probing`, `foresight`: what a change means, the motion that tells more of it, and
   how well a twin predicts.
 """

@@ -34,6 +34,7 @@ class Bounds:
         spring: Share of a spring's stiffness that is lost.
         grip: Share of a tyre's friction that is lost.
         zero: What a zero drifted by [rad].
+        camera: What a camera turned by [rad]: beyond a few pixels the eyes match nothing.
     """
 
     torque: tuple[float, float] = (0.1, 0.5)
@@ -42,6 +43,7 @@ class Bounds:
     spring: tuple[float, float] = (0.3, 0.8)
     grip: tuple[float, float] = (0.3, 0.7)
     zero: tuple[float, float] = (0.02, 0.1)
+    camera: tuple[float, float] = (0.002, 0.01)
 
 
 def consequence_of(
@@ -84,6 +86,8 @@ def consequence_of(
             share, limits, what = size, bounds.spring, f"the spring of {part} is soft"
         case "grip":
             share, limits, what = size, bounds.grip, f"the grip of {part} fell"
+        case "loose":
+            share, limits, what = size, bounds.camera, "a camera came loose"
         case _:
             share, limits, what = size, bounds.zero, f"the zero of {part} drifted"
     slower, stop = limits

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from controllers.sensing.diagnosis import UNKNOWN, Finding
+from controllers.sensing.loose_camera import LOOSE_CAMERA
 from twin.description import RobotDescription
 
 PERIOD = 4.0
@@ -36,8 +37,11 @@ class Asked(NamedTuple):
 
 
 def probes(finding: Finding) -> bool:
-    """Return whether there is a motion that tells more of a change; of an unknown one none does."""
-    return finding.name != UNKNOWN
+    """Return whether there is a motion that tells more of a change.
+
+    Of one that is not known none does, and of a camera a pair of images tells all.
+    """
+    return finding.name not in (UNKNOWN, LOOSE_CAMERA)
 
 
 def probe(finding: Finding, robot: RobotDescription, time: float) -> Asked:

@@ -10,6 +10,7 @@ from controllers.sensing.changes import Change, ChangeConfig, ChangeDetector, Ch
 from controllers.sensing.diagnosis import UNKNOWN, Finding
 from controllers.sensing.foresight import Foresight
 from controllers.sensing.jumps import ZeroJumps
+from controllers.sensing.loose_camera import LooseCamera
 from controllers.sensing.trial import Trial
 from models.compose import RobotPlacement
 from perception.geometry.arrays import FloatArray
@@ -23,6 +24,8 @@ from twin.shadow.shadow import Innovation, Shadow, ShadowConfig
 
 AHEAD = 1.0
 """How far the twin predicts [s], once in that time."""
+LOOKING = 0.99
+"""Time after a pair of images from which on the next one is looked at [s]."""
 PATCHES = 0.25
 """How far friction below a wheel wanders on rough ground, as a share of the drawing's."""
 
@@ -135,6 +138,8 @@ class TwinBeside:
         noise, at = self.shadow.noise, self.shadow.channels
         angle, rate = (float(noise[at[name]].max()) for name in ("arm_angles", "arm_rates"))
         self._jumps = ZeroJumps(angle, rate)
+        self._eyes = LooseCamera(self.drawn.head.camera) if self.drawn.head else None
+        self._looked = -math.inf
         self._trial: Trial | None = None
         if memory is not None:
             if memory.names != tuple(each.name for each in self.deviations):
@@ -185,6 +190,8 @@ class TwinBeside:
         if found is not None:
             self._end_trial()
             self._name(found, time)
+        if (loose := self._look_at(tick)) is not None:
+            self.named.append(Named(time, loose, "rad"))
 
     def _jump(self, tick: RoverTick) -> Finding | None:
         """Return the zero of an encoder that jumped."""
@@ -197,6 +204,14 @@ class TwinBeside:
             return None
         name = f"zero {self.drawn.joint_names[jump.joint]}"
         return Finding(name, jump.size, jump.sigma, abs(jump.size) / jump.sigma)
+
+    def _look_at(self, tick: RoverTick) -> Finding | None:
+        """Return a camera that came loose, if there are images."""
+        pair = tick.seen.stereo
+        if self._eyes is None or not pair.usable or pair.stamp < self._looked + LOOKING:
+            return None
+        self._looked = pair.stamp
+        return self._eyes.step(np.asarray(pair.value, dtype=np.uint8))
 
     def _look(self, innovation: Innovation, kind: int) -> Finding | None:
         """Look for changes; those that are suspected are tried out until one is named, or none."""

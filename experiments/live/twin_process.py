@@ -1,6 +1,7 @@
 """The twin in a process of its own, beside the one that drives a rover."""
 
 import contextlib
+import math
 import multiprocessing as mp
 import os
 import queue
@@ -12,14 +13,14 @@ from typing import NamedTuple
 
 from experiments.harness.contract import ExperimentError
 from experiments.harness.figure_style import use_style
-from experiments.live.twin_beside import TwinBeside
+from experiments.live.twin_beside import LOOKING, TwinBeside
 from experiments.live.twin_folder import TwinFolder
 from experiments.live.twin_watch import TwinState, Watch
 from models.compose import RobotPlacement
 from twin.hardware.background import end_with_parent
 from twin.logs.ticks import RoverTick
 from twin.loop import LoopRecorder, Tick
-from twin.robot import MISSING
+from twin.robot import MISSING, Channel, ImageChannel
 from twin.servo import SERVO_PERIOD
 
 WAITING = 400
@@ -67,7 +68,7 @@ class TwinProcess(LoopRecorder):
         self._process.start()
         tells.close()
         self.state: TwinState | None = None
-        self._lost = 0
+        self._lost, self._pair = 0, -math.inf
 
     @property
     def alive(self) -> bool:
@@ -79,12 +80,21 @@ class TwinProcess(LoopRecorder):
         self._take()
         if self._robot not in tick.applied:
             return
-        seen = tick.observations[self._robot]._replace(stereo=MISSING)
+        seen = tick.observations[self._robot]
+        seen = seen._replace(stereo=self._handed_on(seen.stereo))
         taken = RoverTick(self._robot, seen, tick.applied[self._robot])
         try:
             self._ticks.put_nowait(Timed(taken, time.monotonic(), self._lost))
         except queue.Full:
             self._lost += 1
+
+    def _handed_on(self, pair: Channel) -> Channel:
+        """Return a pair of images now and then, of those that whoever drives has looked at."""
+        read = isinstance(pair, ImageChannel) and pair.drawn
+        if not read or pair.stamp < self._pair + LOOKING:
+            return MISSING
+        self._pair = pair.stamp
+        return pair
 
     def wait(self) -> None:
         """Wait until the twin can take ticks.

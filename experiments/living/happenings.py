@@ -21,10 +21,10 @@ def happen(
         simulation: The rover's scene.
         drawn: The rover as drawn, with the same names.
         robot: Its name.
-        name: ``battery``, or kind and part as of `twin.shadow.deviations.rover_deviations`.
-        size: Load [kg], friction [N m], drift of a zero [rad]; 1 of what sticks or is
-            blocked; else the share
-            that is lost.
+        name: ``battery``, ``loose camera`` (the right eye), or kind and part as of
+            `twin.shadow.deviations.rover_deviations`.
+        size: Load [kg], friction [N m], drift of a zero or turn of a camera [rad]; 1 of what
+            sticks or is blocked; else the share that is lost.
 
     Returns:
         The size in the twin's unit: of springs and grip what is lost over the drawing's.
@@ -55,6 +55,8 @@ def happen(
                 model.geom(tyre).friction[0] -= lost
                 shares.append(-lost / float(drawn.geom(tyre).friction[0]))
             return float(np.mean(shares))
+        case "loose":
+            _turn_camera(model, f"{robot}/stereo_right", size)
         case "supply" | "battery":
             for axis in (part,) if kind == "supply" else one.description.axes:
                 one.weaken(axis, size)
@@ -82,6 +84,15 @@ def _load(model: mujoco.MjModel, robot: str, part: str, mass: float) -> None:
         site = model.site(f"{robot}/gripper")
         body, place = model.body(int(site.bodyid[0])), np.array(site.pos)
     _add(model, body.id, place, mass)
+
+
+def _turn_camera(model: mujoco.MjModel, camera: str, angle: float) -> None:
+    """Turn a camera by an angle about all of its axes alike."""
+    index = model.camera(camera).id
+    turn, turned = np.empty(4), np.empty(4)
+    mujoco.mju_axisAngle2Quat(turn, np.full(3, 3.0**-0.5), angle)
+    mujoco.mju_mulQuat(turned, model.cam_quat[index].copy(), turn)
+    model.cam_quat[index] = turned
 
 
 def _add(model: mujoco.MjModel, body: int, place: FloatArray, mass: float) -> None:

@@ -41,6 +41,7 @@ CELLS = (
     ("zero tilt", 0.017), ("zero tilt", 0.035),
     ("blocked wheel", 1.0), ("blocked joint", 1.0),
     ("stuck wheel", 1.0), ("stuck joint", 1.0),
+    ("loose camera", 0.017), ("loose camera", 0.035),
 )  # fmt: skip
 """What happens, with its size as of `happenings.happen`; of parts one is chosen at random."""
 QUICK = (("load gripper", 0.2),)

@@ -5,10 +5,12 @@ import dataclasses
 import numpy as np
 
 from controllers.motion.simple_motions import Work
+from controllers.sensing.loose_camera import LOOSE_CAMERA
 from experiments.live.twin_beside import Named, TwinBeside
 from experiments.living.happenings import happen
 from models.compose import RobotPlacement
 from models.configuration import FieldConfig
+from twin.camera import StereoConfig
 from twin.connect import Connection, connect
 from twin.logs.ticks import RoverTick
 from twin.loop import LoopRecorder, Tick
@@ -17,6 +19,8 @@ from twin.loop import run as run_loop
 ROBOT = "rover1"
 FIELD = FieldConfig(size=(16.0, 16.0), texture_pixels=16)
 """Level ground; each robot has tyres of its own."""
+PAIRS = 2.0
+"""Rate of its images, where a camera comes loose [Hz]."""
 WITHIN = 5.0
 """Something happens within so long after the learning, at random [s]."""
 PATIENCE = 20.0
@@ -96,8 +100,10 @@ def watch(trial: LivingTrial) -> Watched:
     rng = np.random.default_rng([trial.seed, 1])
     placed = RobotPlacement(ROBOT)
     twin = TwinBeside(placed, trial.learning, threads=1)
+    # Images are drawn where they tell something only.
+    stereo = StereoConfig(PAIRS) if trial.happening == LOOSE_CAMERA else None
     with connect(
-        "sim", robots=[placed], field=FIELD, realism="default", seed=trial.seed
+        "sim", robots=[placed], field=FIELD, realism="default", stereo=stereo, seed=trial.seed
     ) as connection:
         work = Work(twin.drawn, np.random.default_rng([trial.seed, 2]))
         before = trial.unchanged or float(rng.uniform(0.0, WITHIN))

@@ -39,6 +39,7 @@ def test_mass_and_reach_are_those_of_the_model():
         ("stuck wrist", (0.09, 0.11, 0.49, 0.51)),
         ("blocked rear_left", (0.09, 0.11, 0.49, 0.51)),
         ("zero wrist", (-0.019, 0.021, 0.099, -0.101)),
+        ("loose camera", (0.0, 0.003, 0.008, 0.0101)),
         # 10.86 N m of the shoulder over 9.81 m/s^2 and the reach of 0.495 m are 2.23 kg.
         ("load gripper", (0.22, 0.23, 1.11, 1.13)),
     ],

@@ -5,6 +5,7 @@ import pytest
 
 from controllers.motion.teleoperation import Teleoperation
 from controllers.sensing.diagnosis import UNKNOWN, Finding
+from controllers.sensing.loose_camera import LOOSE_CAMERA
 from controllers.sensing.probing import PERIOD, SHARE, probe, probes
 from models.compose import RobotPlacement
 from twin.connect import connect
@@ -53,11 +54,12 @@ def test_what_changed_is_moved(name, moved):
     assert {names[i] for i in np.flatnonzero(np.abs(asked(name)).max(axis=0))} == moved
 
 
-def test_of_what_is_unknown_no_motion_tells_more():
-    unknown = Finding(UNKNOWN, 0.0, 0.0, 0.0)
-    assert not probes(unknown)
-    with pytest.raises(ValueError, match="unknown change: no motion tells more"):
-        probe(unknown, ROVER, 0.0)
+@pytest.mark.parametrize("name", [UNKNOWN, LOOSE_CAMERA])
+def test_of_what_is_unknown_and_of_a_camera_no_motion_tells_more(name):
+    found = Finding(name, 0.02, 0.0, 9.0)
+    assert not probes(found)
+    with pytest.raises(ValueError, match=f"{name}: no motion tells more"):
+        probe(found, ROVER, 0.0)
 
 
 class Asking:

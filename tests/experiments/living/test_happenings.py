@@ -8,7 +8,10 @@ import pytest
 
 from experiments.living.happenings import happen
 from experiments.living.living_twin import CELLS
+from experiments.living.trial import FIELD
 from models.compose import RobotPlacement
+from perception.stereo.eye_turn import find_eye_turn
+from twin.camera import StereoConfig
 from twin.connect import connect
 from twin.describe import describe_rover
 from twin.loop import run
@@ -177,7 +180,33 @@ def test_what_does_not_happen_is_refused():
         happen(connection.simulation, DRAWN, ROBOT, "flat tyre", 1.0)
 
 
-def test_each_of_twelve_things_happens_in_two_sizes_or_to_two_parts():
+class Resting(Reaching):
+    """Moves nothing."""
+
+    def step(self, observations):
+        still = Command(np.zeros(4), np.zeros(4), WheelMode.SPEED, ArmMode.RATE)
+        return dict.fromkeys(observations, still)
+
+
+def test_a_camera_that_comes_loose_is_seen_turned_by_its_size():
+    """In the head's own frame: MuJoCo's y and z are against those of images."""
+    with connect("sim", field=FIELD, seed=1, stereo=StereoConfig(1.0)) as connection:
+        simulation = connection.simulation
+        eyes = describe_rover(ROBOT).head.camera
+
+        def turn():
+            images = simulation.robots[ROBOT].observe().stereo.value
+            return find_eye_turn(images, eyes).turn
+
+        before = turn()
+        assert happen(simulation, DRAWN, ROBOT, "loose camera", 0.03) == 0.03  # noqa: PLR2004
+        run(connection.robots, [Resting()], connection.clock, [], 1.1)
+        each = 0.03 / 3.0**0.5
+        # What turns it about the vertical shows little in rows.
+        assert (turn() - before)[[0, 2]] == pytest.approx([each, -each], abs=0.002)
+
+
+def test_each_of_thirteen_things_happens_in_two_sizes_or_to_two_parts():
     kinds = [name.partition(" ")[0] for name, _ in CELLS]
-    assert len(CELLS) == 24 and len(set(CELLS)) == 24  # noqa: PLR2004
+    assert len(CELLS) == 26 and len(set(CELLS)) == 26  # noqa: PLR2004
     assert sorted({kinds.count(each) for each in set(kinds)}) == [2, 4]
