@@ -44,6 +44,19 @@ class Timed(NamedTuple):
     lost: int
 
 
+def handed_on(pair: Channel, latest: float) -> Channel:
+    """Return a pair of images that the twin may look at, else that there is none.
+
+    Those that whoever drives has not looked at would be drawn or fetched while the rover waits.
+
+    Args:
+        pair: The latest pair.
+        latest: Stamp of the one that was handed on last [s].
+    """
+    read = isinstance(pair, ImageChannel) and pair.drawn
+    return pair if read and pair.stamp >= latest + LOOKING else MISSING
+
+
 class TwinProcess(LoopRecorder):
     """Hands the ticks of a rover to its twin, and never waits for it while the rover is driven.
 
@@ -81,20 +94,14 @@ class TwinProcess(LoopRecorder):
         if self._robot not in tick.applied:
             return
         seen = tick.observations[self._robot]
-        seen = seen._replace(stereo=self._handed_on(seen.stereo))
+        seen = seen._replace(stereo=handed_on(seen.stereo, self._pair))
+        if seen.stereo.usable:
+            self._pair = seen.stereo.stamp
         taken = RoverTick(self._robot, seen, tick.applied[self._robot])
         try:
             self._ticks.put_nowait(Timed(taken, time.monotonic(), self._lost))
         except queue.Full:
             self._lost += 1
-
-    def _handed_on(self, pair: Channel) -> Channel:
-        """Return a pair of images now and then, of those that whoever drives has looked at."""
-        read = isinstance(pair, ImageChannel) and pair.drawn
-        if not read or pair.stamp < self._pair + LOOKING:
-            return MISSING
-        self._pair = pair.stamp
-        return pair
 
     def wait(self) -> None:
         """Wait until the twin can take ticks.
