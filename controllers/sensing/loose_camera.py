@@ -24,7 +24,7 @@ class LooseCameraConfig:
 
     Attributes:
         learning: Pairs of which the head as made is learned.
-        lasting: Pairs in a row that show the same turn.
+        lasting: Pairs in a row that are far from what was learned; what is named is their mean.
         off: Standard deviation of a turn by what the fit of a pair does not know, about each axis
             [rad].
         beyond: Deviations from which on an eye has turned.

@@ -34,12 +34,10 @@ class EyeTurn(NamedTuple):
     Attributes:
         turn: (3,) rotation vector of the right eye, in its frame as drawn [rad].
         covariance: (3, 3) of that [rad^2].
-        matches: Count of points of which it was seen.
     """
 
     turn: FloatArray
     covariance: FloatArray
-    matches: int
 
 
 def find_eye_turn(images: ImageArray, eye: Pinhole) -> EyeTurn:
@@ -68,7 +66,7 @@ def find_eye_turn(images: ImageArray, eye: Pinhole) -> EyeTurn:
     if good < FEWEST:
         raise RegistrationError(f"{good} points lie alike in both images, expected {FEWEST}")
     covariance = np.asarray(np.linalg.inv(information), dtype=float)
-    return EyeTurn(np.asarray(turn.as_rotvec(), dtype=float), covariance, good)
+    return EyeTurn(np.asarray(turn.as_rotvec(), dtype=float), covariance)
 
 
 def _matched(images: ImageArray, eye: Pinhole) -> tuple[FloatArray, FloatArray]:
