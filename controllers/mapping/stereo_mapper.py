@@ -19,7 +19,7 @@ from controllers.mapping.searching import TargetSearch
 from controllers.mapping.shared_map import SharedMap
 from controllers.mapping.stereo_view import MapperConfig, StereoView
 from controllers.motion.arm_move import ArmMove
-from controllers.motion.tipping.tip_over import Footing
+from controllers.motion.tipping.tip_guard import TipGuard
 from perception.geometry.arrays import BoolArray, FloatArray, IndexArray
 from perception.registration.target import possible_markers
 from perception.stereo.matching import StereoMatcher
@@ -72,7 +72,7 @@ class StereoMapper:
         on_view: Function called once after each view, for recording.
         localizations: Initial localization of robots that have one, by name; they need a map whose
             frame is known, and begin in the survey posture.
-        footings: Footing of robots that a move must not tip over, by name.
+        guards: Guards of robots against tipping over, by name.
 
     Attributes:
         shared: Common map of the robots.
@@ -89,10 +89,10 @@ class StereoMapper:
         rng: np.random.Generator,
         on_view: Callable[[StereoView], None] | None = None,
         localizations: Mapping[str, RobotLocalization] | None = None,
-        footings: Mapping[str, Footing] | None = None,
+        guards: Mapping[str, TipGuard] | None = None,
     ) -> None:
         self.shared = shared
-        self._known, self._footings = dict(localizations or {}), dict(footings or {})
+        self._known, self._guards = dict(localizations or {}), dict(guards or {})
         self.views: list[StereoView] = []
         self._config, self._rng, self._on_view = config, rng, on_view
         geometry = shared.geometry
@@ -157,8 +157,8 @@ class StereoMapper:
     def _move_to(self, name: str, goal: FloatArray) -> ArmMove:
         """Return a robot's motion to a view (joints,) [rad]; the wheels get no voltage."""
         c = self._config
-        footing = self._footings.get(name)
-        return ArmMove(goal, c.speed, c.rest, c.near, c.patience, WheelMode.DUTY, footing)
+        guard = self._guards.get(name)
+        return ArmMove(goal, c.speed, c.rest, c.near, c.patience, WheelMode.DUTY, guard)
 
     def _take(
         self, name: str, head: _Head, seen: Observation, arms: Mapping[str, FloatArray]

@@ -69,7 +69,7 @@ class DrivingPart:
         self.done = False
         self._belief, self._navigator = belief, belief.navigator
         self._arm, _ = camera_arm(belief.robot)
-        self._rest = ArmMove(DRIVING, footing=self._navigator.footing)
+        self._rest = ArmMove(DRIVING, guard=self._navigator.tip_guard)
         self._behaviour: Behaviour | None = None
 
     def step(self, seen: Observation) -> Command:
@@ -95,10 +95,10 @@ def posed(seen: Observation, navigator: Navigator, goal: FloatArray) -> Behaviou
 
     Args:
         seen: Latest observation.
-        navigator: Navigator of the rover, whose footing guards the move.
+        navigator: Navigator of the rover, which guards the move.
         goal: (joints,) posture [rad].
     """
-    move = ArmMove(goal, footing=navigator.footing)
+    move = ArmMove(goal, guard=navigator.tip_guard)
     while not (move.sees(seen) and seen.inclinometer.usable):
         seen = yield move.command(seen)
     return seen

@@ -30,7 +30,7 @@ from controllers.mapping.shared_map import SharedMap, within
 from controllers.mapping.visual_odometry import VisualOdometry, levelled
 from controllers.motion.drive_path import DrivePath, DrivePathConfig
 from controllers.motion.driving import SkidSteer
-from controllers.motion.tipping.tip_over import Footing
+from controllers.motion.tipping.tip_guard import TipGuard
 from perception.elevation.alignment import aligned
 from perception.elevation.grid import ElevationGrid
 from perception.elevation.map import ElevationMap
@@ -145,11 +145,12 @@ class Navigator:
         steer: Wheels of the rover, with the turn share as known beforehand.
         config: How far it maps and how often it looks; None for the default.
         blind: Whether paths are planned as if nothing stood on the ground.
-        guarded: Whether the tilt slows drives and moves of the arm before they would tip the rover.
+        guarded: Whether drives and moves of the arm are slowed before they would tip the rover
+            over.
         once: Whether the panel localizes the rover once, and never again.
 
     Attributes:
-        footing: Footing by which moves of the arm are slowed; None for a rover without the guard.
+        tip_guard: Guard of the rover against tipping over; None for a rover without it.
         odometry: Pose of the rover in the frame.
         ground: Elevation maps in the frame.
         localized: Whether the frame is that of the panel.
@@ -174,7 +175,7 @@ class Navigator:
     ) -> None:
         self._robot, self._panel, self._once = robot, panel, once
         self._config, self._blind = config or NavigatorConfig(), blind
-        self.footing = Footing.of(robot) if guarded else None
+        self.tip_guard = TipGuard(robot) if guarded else None
         self._driving = DrivePathConfig() if guarded else _UNGUARDED
         self._arm, _ = camera_arm(robot)
         geometry = stereo_geometry(robot)
@@ -578,7 +579,7 @@ class Navigator:
         self._start = self.odometry.level_pose()
         local = self._in_start(path)
         turn = self._turn(heading)
-        self._drive = DrivePath(self.steer(), local, turn, driving, backwards)
+        self._drive = DrivePath(self.steer(), local, turn, driving, backwards, self.tip_guard)
 
     @property
     def arrived(self) -> bool:

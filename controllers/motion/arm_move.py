@@ -1,9 +1,7 @@
 """Motion of an arm to a posture, and whether a stereo pair was taken there at rest.
 
-With a footing, a move that would bring the zero-moment point near the edge of the footprint, at the
-tilt that the rover has as it begins, is slowed as a whole, or cut short where the arm could not
-rest. That takes 3 ms for each move; `tipping.online_guard` takes 0.4 ms in each tick, 0.04 s a
-second.
+With a guard, a move that may tip the rover over, at the tilt that it has as it begins, is slowed as
+a whole, cut short, or not made (`tipping.tip_guard`).
 """
 
 import dataclasses
@@ -12,7 +10,8 @@ import math
 import numpy as np
 
 from controllers.motion.base_motion import level_of
-from controllers.motion.tipping.tip_over import Footing, SteadySweep, Sweep, guard
+from controllers.motion.tipping.tip_guard import TipGuard
+from controllers.motion.tipping.tip_over import SteadySweep, Sweep
 from perception.geometry.arrays import FloatArray
 from twin.robot import ArmMode, Command, Observation, WheelMode
 
@@ -28,7 +27,7 @@ class ArmMove:
         near: Greatest joint error at which the arm counts as there [rad].
         patience: Longest time at a goal that is not reached [s].
         wheel_mode: Mode in which the wheels rest: zero speed, or zero voltage (duty).
-        footing: Rover that the move must not tip over; None for a move without a guard.
+        guard: Guard of the rover against tipping over; None for a move without one.
     """
 
     goal: FloatArray
@@ -37,7 +36,7 @@ class ArmMove:
     near: float = 0.05
     patience: float = 4.0
     wheel_mode: WheelMode = WheelMode.SPEED
-    footing: Footing | None = None
+    guard: TipGuard | None = None
     _sweep: Sweep | None = dataclasses.field(default=None, init=False)
     _begun: float = dataclasses.field(default=math.nan, init=False)
     _there: float = dataclasses.field(default=math.nan, init=False)
@@ -90,7 +89,7 @@ class ArmMove:
         start = np.array(seen.arm_angles.value, dtype=float)
         duration = max(float(np.abs(self.goal - start).max()) / self.speed, 1e-9)
         asked = SteadySweep(start, self.goal, duration)
-        if self.footing is None:
+        if self.guard is None:
             return asked
-        allowed = guard(self.footing, asked, level_of(seen)).sweep
+        allowed = self.guard.allowed(asked, level_of(seen)).sweep
         return allowed or dataclasses.replace(asked, part=0.0)

@@ -5,8 +5,8 @@ the circle to a point of the path a look-ahead distance away. Regulated (Macensk
 "Regulated pure pursuit for robot path tracking"), the look-ahead grows with the speed, and the
 speed falls with the curvature and towards the end.
 
-The guards against tipping over (`tipping`) slow motions of the joints, in which
-wheels have no part: here the measured tilt bounds the speed.
+The measured tilt bounds the speed; where it does, a guard may look ahead, and stop a drive that is
+likely to tip the rover over (`tipping.tip_guard`).
 """
 
 import dataclasses
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from controllers.motion.driving import SkidSteer, is_good
 from controllers.motion.reckoned_drive import ReckonedDrive, course_along, turning_rate, wrapped
+from controllers.motion.tipping.tip_guard import TipGuard
 from perception.geometry.arrays import FloatArray
 from twin.robot import Observation
 
@@ -27,6 +28,7 @@ _FULL = 0.9  # Share of the wheels' largest speed that is used; the rest is left
 _BRAKES = 0.8  # Share of the acceleration with which the rover is to slow down.
 _STALLED = 0.3  # Share of the commanded wheel speeds below which the wheels stall.
 _BLEND = 0.1  # Squared sine of the angle left from which on what is off aside counts less.
+_LOOK_EVERY = 0.5  # Time from one look ahead to the next [s].
 _COMMANDED = 0.2  # Wheel speed below which nothing is said of a stall [rad/s].
 
 
@@ -96,6 +98,7 @@ class DrivePath(ReckonedDrive):
         heading: Yaw to the left in which the rover ends [rad]; None for that of the path's end.
         config: Limits and tolerances; None for the default.
         backwards: Whether the rover drives backwards.
+        guard: Guard of the rover against tipping over; None for a drive without one.
 
     Attributes:
         odometry: Dead reckoning since the drive began, without corrections.
@@ -112,11 +115,13 @@ class DrivePath(ReckonedDrive):
         heading: float | None = None,
         config: DrivePathConfig | None = None,
         backwards: bool = False,
+        guard: TipGuard | None = None,
     ) -> None:
-        self._config = config or DrivePathConfig()
+        self._config, self._guard = config or DrivePathConfig(), guard
         super().__init__(steer, self._config.period)
         self._correction = 0.0, 0.0, 0.0  # Pose of the frame of odometry in that of the path.
         self._speed = self._turn = 0.0  # Last commanded.
+        self._until_look = 0
         self.replan(path, heading, backwards)
 
     def replan(
@@ -267,6 +272,18 @@ class DrivePath(ReckonedDrive):
         if steep and not self._steep and not self.blocked:
             self.blocked = f"tilted beyond {math.degrees(config.tilts[1]):.0f} degrees"
         self._steep = steep
+        if not self.blocked and self._is_due(seen):
+            self._until_look = round(_LOOK_EVERY / config.period)
+            assert self._guard is not None
+            self.blocked = self._guard.warning(seen, self._speed, self._turn)
+
+    def _is_due(self, seen: Observation) -> bool:
+        """Return whether to look ahead: every now and then on the way, where the tilt is large."""
+        self._until_look = max(self._until_look - 1, 0)
+        if self._guard is None or self._until_look or not self.moving:
+            return False
+        usable = seen.arm_angles.usable and seen.inclinometer.usable
+        return usable and self._tilt() >= self._config.tilts[0]
 
     def _tilt(self) -> float:
         """Return the angle between the rover's up and the vertical [rad]."""

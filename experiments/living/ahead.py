@@ -10,6 +10,7 @@ from controllers.motion.arm_control import ArmGains
 from controllers.motion.driving import SkidSteer
 from controllers.motion.tipping.foreseen_motion import ForeseenMotion, MotionConfig
 from controllers.motion.tipping.look_ahead import TIPPED, LookAhead
+from controllers.motion.tipping.tip_guard import HORIZON, LIKELY
 from controllers.motion.tipping.tip_over import Sweep
 from experiments.appa.control.trial import arm_config
 from models.compose import PayloadConfig, RobotPlacement, make_model
@@ -25,16 +26,12 @@ ROBOT = "rover1"
 KINDS = ("swing", "drive")
 WITHIN = 5.0
 """Time of a motion, all of which is looked at before a swing [s]."""
-AHEAD = 2.0
-"""How far is looked ahead of a drive [s]."""
 APPROACH, REST = 2.5, 1.0
 """Time in which the arm goes to where a motion begins, and for which it rests there [s]."""
 STRETCH = 1.6
 """Time for which a drive does one thing [s]."""
 EVERY = 0.5
 """Time from one look ahead to the next, of a drive [s]."""
-LIKELY = 0.4
-"""Probability above which a guard would stop the motion."""
 SLOPE, LOADS = math.radians(20.0), (0.1, 1.0)
 SWINGS, SPEED, TURN = (0.4, 2.0), 0.2, 0.6
 POSTURES = np.array([[-2.0, 2.0], [-0.2, 1.2], [-1.6, 0.3], [-0.5, 0.5]])
@@ -129,7 +126,7 @@ def _attempt(trial: AheadTrial, rng: np.random.Generator) -> Foreseen | None:
         ways,
         STRETCH,
         REST,
-        AHEAD if len(ways) else WITHIN,
+        HORIZON if len(ways) else WITHIN,
         EVERY,
     )
     motion = ForeseenMotion(config, LookAhead(rover), rng)

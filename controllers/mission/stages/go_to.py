@@ -254,7 +254,7 @@ class Wait:
 
     def __init__(self, name: str, belief: MissionBelief) -> None:
         self.name, self._belief = name, belief
-        self._rest = ArmMove(DRIVING, footing=belief.navigator.footing)
+        self._rest = ArmMove(DRIVING, guard=belief.navigator.tip_guard)
         self._due = -math.inf  # Time of the next look [s].
 
     def step(self, seen: Observation) -> Command:

@@ -55,7 +55,7 @@ class GuideInsertion:
         self._occluders = occluders
         self._port = RadioPort(radio, KINDS)
         self._master: InsertionMaster | None = None
-        self._move = ArmMove(belief.home, footing=belief.navigator.footing)
+        self._move = ArmMove(belief.home, guard=belief.navigator.tip_guard)
 
     @property
     def sent(self) -> Guidance | None:
@@ -86,7 +86,7 @@ class GuideInsertion:
             belief.robot, belief.site.insertion, slot, card, start, placed=True, about=about
         )
         master = InsertionMaster(name, guide, GuidanceLink(self._port))
-        move = ArmMove(guide.begin(), speed=0.5, footing=belief.navigator.footing)
+        move = ArmMove(guide.begin(), speed=0.5, guard=belief.navigator.tip_guard)
         return master, move
 
 
@@ -122,7 +122,7 @@ class InsertCard:
         self._link = GuidanceLink(RadioPort(radio, KINDS))
         self.slave = InsertionSlave(robot.name, inserter, sensing, self._link)
         self._belief, self._radio = belief, radio
-        self._move = ArmMove(belief.home, footing=belief.navigator.footing)
+        self._move = ArmMove(belief.home, guard=belief.navigator.tip_guard)
         self._begun = False
         self._held = Command()
 

@@ -34,15 +34,15 @@ class MapSite:
     def __init__(self, belief: MissionBelief, scans: int, rng: np.random.Generator) -> None:
         assert belief.localization is not None
         robot, self._navigator = belief.robot, belief.navigator
-        footing = self._navigator.footing
-        self._name, self._home = robot.name, ArmMove(DRIVING, footing=footing)
+        guard = self._navigator.tip_guard
+        self._name, self._home = robot.name, ArmMove(DRIVING, guard=guard)
         self.mapper = StereoMapper(
             {robot.name: robot},
             belief.map,
             MapperConfig(scans=scans, clear=_CLEAR, views=_VIEWS),
             rng,
             localizations={robot.name: belief.localization},
-            footings={} if footing is None else {robot.name: footing},
+            guards={} if guard is None else {robot.name: guard},
         )
 
     @property

@@ -43,7 +43,7 @@ class HandNavigator:
         self._left, self.blocked, self.taken = 0, "", 0
         self.place, self.yaw, self.heading = np.zeros(2), 0.0, math.nan
         self.room = math.inf
-        self.waits, self._waits_at, self.footing = False, waits_at, None
+        self.waits, self._waits_at, self.tip_guard = False, waits_at, None
         self.astray, self.known, self.odometry = False, None, SimpleNamespace(strayed=0.0)
 
     @property

@@ -5,7 +5,7 @@ import pytest
 
 from controllers.motion.arm_move import ArmMove
 from controllers.motion.base_motion import level_of
-from controllers.motion.tipping.tip_over import Footing
+from controllers.motion.tipping.tip_guard import TipGuard
 from tests.controllers.motion.seen import PAIR, seen_at
 from twin.describe import describe_rover
 from twin.robot import ArmMode, Observation, WheelMode
@@ -57,7 +57,8 @@ def test_wheels_are_held_in_the_requested_mode(mode: WheelMode) -> None:
     assert np.all(command.wheels == 0.0)
 
 
-ROVER = Footing.of(describe_rover("rover2", card=True, mast=0.065))
+GUARD = TipGuard(describe_rover("rover2", card=True, mast=0.065))
+ROVER = GUARD.footing
 FOLDED = np.array([0.0, 1.6, -0.2, -1.85])
 AHEAD = np.array([0.0, 1.2, -0.9, -1.0])
 
@@ -93,22 +94,22 @@ def played(move: ArmMove, degrees: float) -> tuple[float, float, np.ndarray]:
 
 def test_a_move_that_would_tip_a_rover_on_a_steep_slope_is_slowed_and_not_without_the_guard():
     free, free_margin, _ = played(ArmMove(AHEAD), 34.0)
-    slowed, margin, end = played(ArmMove(AHEAD, footing=ROVER), 34.0)
+    slowed, margin, end = played(ArmMove(AHEAD, guard=GUARD), 34.0)
     assert free_margin < 0.029 < margin
     assert slowed > 1.2 * free
     np.testing.assert_allclose(end, AHEAD, atol=1e-9)
 
 
 def test_no_move_is_slowed_on_the_slopes_of_the_field():
-    assert played(ArmMove(AHEAD, footing=ROVER), 10.0)[:2] == played(ArmMove(AHEAD), 10.0)[:2]
+    assert played(ArmMove(AHEAD, guard=GUARD), 10.0)[:2] == played(ArmMove(AHEAD), 10.0)[:2]
 
 
 def test_an_arm_that_could_not_rest_at_its_goal_goes_less_far_or_stays_and_is_not_awaited():
-    _, _, end = played(ArmMove(AHEAD, footing=ROVER), 37.0)
+    _, _, end = played(ArmMove(AHEAD, guard=GUARD), 37.0)
     share = (end - FOLDED)[1:] / (AHEAD - FOLDED)[1:]
     np.testing.assert_allclose(share, share[0])
     assert 0.05 < share[0] < 0.95
-    stays = ArmMove(AHEAD, footing=ROVER)
+    stays = ArmMove(AHEAD, guard=GUARD)
     _, _, end = played(stays, 45.0)
     np.testing.assert_array_equal(end, FOLDED)
     assert not stays.is_there(tilted(45.0, FOLDED, 2.0))

@@ -353,6 +353,38 @@ def test_beyond_the_largest_tilt_it_stops_and_may_creep_away() -> None:
     assert done.motions[:, 0].min() == pytest.approx(-CONFIG.creep * CONFIG.speed, rel=0.05)
 
 
+class Warning:
+    """Guard that warns of drives towards +y from a tick on, and notes when it was asked."""
+
+    def __init__(self, since: int) -> None:
+        self.since, self.asked = since, []
+
+    def warning(self, seen, speed: float, turn: float) -> str:
+        self.asked.append(round(seen.time / PERIOD))
+        assert abs(speed) <= CONFIG.speed and turn == 0.0
+        return "tips over" if speed > 0.0 and self.asked[-1] >= self.since else ""
+
+
+def test_a_drive_that_is_likely_to_tip_over_stops_and_may_go_back() -> None:
+    guard = Warning(since=500)
+    driver = DrivePath(STEER, [(0.0, 0.0), (0.0, 2.0)], guard=guard)
+    reasons: list[str] = []
+
+    def turn_back(tick: int, pose: np.ndarray) -> None:
+        reasons.append(driver.blocked)
+        if tick == 900:
+            assert not driver.moving and not driver.done
+            driver.replan([(0.0, 0.0)], backwards=True)
+
+    tilt = math.radians(15.5), 0.0
+    done = drive(driver, each_tick=turn_back, tilt=lambda tick: tilt if tick > 200 else (0.0, 0.0))
+    np.testing.assert_allclose(done.poses[-1, :2], 0.0, atol=0.01)
+    first = reasons.index("tips over")
+    # Every half second where the tilt, as filtered, slows it, and not before.
+    assert 201 < guard.asked[0] < 350 and set(np.diff(guard.asked[:5])) == {50}
+    assert 500 <= first - 1 <= 552 and "tips over" not in reasons[901:]
+
+
 def test_wheels_that_stall_stop_it_with_a_reason() -> None:
     driver = DrivePath(STEER, [(0.0, 0.0), (0.0, 2.0)])
     since: list[int] = []

@@ -39,9 +39,10 @@ def rocked(ahead, plan, still):
     return rock(ahead._chassis, copies, ahead._moving(plan))[0]
 
 
-def mujocos(rover, load, plan):
+def mujocos(rover, load, plan, slope=(0.0, 0.0)):
     """Pitch, roll and centre joint (n, 3) of MuJoCo's rover as drawn, with its wheels braked."""
-    scene = build_scene(FieldConfig(texture_pixels=16, friction=FRICTION), [with_load(load)])
+    field = FieldConfig(texture_pixels=16, friction=FRICTION, slope=slope)
+    scene = build_scene(field, [with_load(load)])
     for actuator in list(scene.actuators):
         scene.delete(actuator)
     for key in list(scene.keys):
