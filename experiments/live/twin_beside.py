@@ -104,6 +104,8 @@ class TwinBeside:
         shadow: The shadow.
         deviations: Ways in which it may differ.
         blocks: What was found, block by block.
+        suspected: Of each alarm the change that is likeliest as far as innovations are linear in
+            it, before anything is tried out.
         named: Changes that were named.
         foresight: What became of its predictions.
 
@@ -150,6 +152,7 @@ class TwinBeside:
         self._applied: Command | None = None
         self._squares: list[FloatArray] = []
         self.blocks: list[Block] = []
+        self.suspected: list[Named] = []
         self.named: list[Named] = []
         self.foresight = Foresight()
         self._pause()
@@ -219,6 +222,8 @@ class TwinBeside:
         if self._trial is None:
             found = self._detector.step(innovation.values, *told, kind, innovation.refuted)
             if found is not None:
+                unit = self._by_name[found.name].unit
+                self.suspected.append(Named(self._begin + innovation.time, found, unit))
                 self._try(innovation)
             return None
         rows = self._trial.rows

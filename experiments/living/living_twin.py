@@ -6,6 +6,7 @@ over, and look ahead; in missions something happens midway. Cells, sizes, motion
 in ``docs/living_twin.md``.
 """
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -64,10 +65,10 @@ def run(options: Options, output: Output) -> None:
     Args:
         options: ``quick`` takes one rover, one happening, short times and few motions.
         output: Receives ``detection_delay_s``, ``isolation_fraction`` and ``size_coverage95``, also
-            by cell, ``false_alarms_per_10h``, ``surprise`` and
-            ``prediction_nees``; of looking ahead
-            ``tip_foreseen_fraction`` and ``false_stop_fraction``, also by kind of motion, and
-            ``look_ahead_s``; on boards ``deadline_miss_fraction`` and ``false_alarms_on_boards``;
+            by cell, ``right_linear`` and ``covered_linear`` beside ``right_tried`` and
+            ``covered_tried``, ``false_alarms_per_10h``, ``surprise`` and ``prediction_nees``;
+            of looking ahead ``tip_foreseen_fraction`` and ``false_stop_fraction``, also by
+            kind of motion, and ``look_ahead_s``; on boards ``deadline_miss_fraction`` and ``false_alarms_on_boards``;
             of programs that are killed ``kill_lost_s``, ``kill_back_s`` and ``kill_moved``; of
             missions ``mission_success/<change>/<with or without>`` and ``mission_p/<change>``.
     """
@@ -255,7 +256,32 @@ def _measure(
         output.measure("size_coverage95", covered)
         enough = covered["mean"] >= COVERED
         output.check("size within its 95 % band", covered["mean"], f">= {COVERED:g}", enough)
+    _measure_suspected(changed, output)
     return found
+
+
+def _measure_suspected(changed: Sequence[Watched], output: Output) -> None:
+    """Measure what innovations say as far as they are linear in a change, before it is tried out.
+
+    Beside it stands what was named of the same changes.
+    """
+    suspected = [result for result in changed if result.suspected]
+    if not suspected:
+        return
+    as_linear = [
+        dataclasses.replace(
+            each,
+            found=each.suspected,
+            found_size=each.suspected_size,
+            sigma=each.suspected_sigma,
+        )
+        for each in suspected
+    ]
+    for key, results in (("linear", as_linear), ("tried", suspected)):
+        output.measure(f"right_{key}", success_fraction(result.right for result in results))
+        sizes = [_covered(result) for result in results if result.right and not result.whole]
+        if sizes:
+            output.measure(f"covered_{key}", success_fraction(sizes))
 
 
 def _covered(result: Watched) -> bool:
@@ -291,12 +317,14 @@ def _table(
 ) -> tuple[list[str], list[list[object]]]:
     columns = [
         "seed", "happening", "size", "true size", "delay [s]", "named", "named size", "sigma",
-        "named before", "watched before [s]", "surprise", "prediction nees",
+        "suspected", "suspected size", "suspected sigma", "named before",
+        "watched before [s]", "surprise", "prediction nees",
     ]  # fmt: skip
     rows: list[list[object]] = [
         [
             trial.seed, each.name, trial.size, each.size, each.delay, each.found, each.found_size,
-            each.sigma, "; ".join(each.alarms), each.seconds, each.surprise,
+            each.sigma, each.suspected, each.suspected_size, each.suspected_sigma,
+            "; ".join(each.alarms), each.seconds, each.surprise,
             each.nees,
         ]
         for trial, each in zip(trials, results, strict=True)

@@ -1,10 +1,12 @@
 """One rover at work, its twin, and what happens to it."""
 
 import dataclasses
+import math
 
 import numpy as np
 
 from controllers.motion.simple_motions import Work
+from controllers.sensing.diagnosis import Finding
 from controllers.sensing.loose_camera import LOOSE_CAMERA
 from experiments.live.twin_beside import Named, TwinBeside
 from experiments.living.happenings import happen
@@ -25,6 +27,7 @@ WITHIN = 5.0
 """Something happens within so long after the learning, at random [s]."""
 PATIENCE = 20.0
 """Time after which what was not named is missed [s]."""
+_NOTHING = Named(math.nan, Finding("", math.nan, math.nan, math.nan), "")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,6 +61,10 @@ class Watched:
         found: Name of that change; empty for none.
         found_size: Its size.
         sigma: Standard deviation of that.
+        suspected: What was suspected first, as far as innovations are linear in it, before it was
+            tried out; empty if nothing was, or it was found otherwise.
+        suspected_size: Its size.
+        suspected_sigma: Standard deviation of that.
         alarms: Changes that were named before anything happened.
         seconds: Time for which it was watched before that [s].
         surprise: Root mean square of the innovations over their deviations, in that time.
@@ -71,6 +78,9 @@ class Watched:
     found: str
     found_size: float
     sigma: float
+    suspected: str
+    suspected_size: float
+    suspected_sigma: float
     alarms: tuple[str, ...]
     seconds: float
     surprise: float
@@ -108,8 +118,9 @@ def watch(trial: LivingTrial) -> Watched:
         work = Work(twin.drawn, np.random.default_rng([trial.seed, 2]))
         before = trial.unchanged or float(rng.uniform(0.0, WITHIN))
         _run(connection, work, twin, trial.learning + before)
-        early, squares = len(twin.named), [each.surprise for each in twin.blocks]
-        foreseen = list(twin.foresight.nees)
+        early, alarms = len(twin.named), tuple(each.finding.name for each in twin.named)
+        surprise, nees = _surprise(twin), twin.foresight.nees
+        foreseen = float(np.mean(nees)) if nees else math.nan
         name, size = _part(trial.happening, twin, rng), 0.0
         if name:
             assert connection.simulation is not None
@@ -118,8 +129,18 @@ def watch(trial: LivingTrial) -> Watched:
             _run(connection, work, twin, PATIENCE, early)
     twin.close()
     happened = trial.learning + before
-    named = twin.named[early] if len(twin.named) > early else None
-    return _result(name, size, happened, named, twin, early, before, squares, foreseen)
+    named = twin.named[early] if len(twin.named) > early else _NOTHING
+    suspected = next((each for each in twin.suspected if each.time > happened), _NOTHING)
+    found, first = named.finding, suspected.finding
+    return Watched(
+        name, size, named.time - happened,
+        found.name, found.size, found.sigma, first.name, first.size, first.sigma,
+        alarms, before, surprise, foreseen,
+    )  # fmt: skip
+
+
+def _surprise(twin: TwinBeside) -> float:
+    return float(np.sqrt(np.nanmean(np.square([each.surprise for each in twin.blocks]))))
 
 
 def _run(
@@ -141,29 +162,3 @@ def _part(happening: str, twin: TwinBeside, rng: np.random.Generator) -> str:
         "tilt": ("pitch", "roll"),
     }
     return f"{kind} {rng.choice(parts[part])}" if part in parts else happening
-
-
-def _result(
-    name: str,
-    size: float,
-    happened: float,
-    named: Named | None,
-    twin: TwinBeside,
-    early: int,
-    before: float,
-    squares: list[np.ndarray],
-    foreseen: list[float],
-) -> Watched:
-    nothing = float("nan")
-    return Watched(
-        name,
-        size,
-        named.time - happened if named is not None else nothing,
-        named.finding.name if named is not None else "",
-        named.finding.size if named is not None else nothing,
-        named.finding.sigma if named is not None else nothing,
-        tuple(each.finding.name for each in twin.named[:early]),
-        before,
-        float(np.sqrt(np.nanmean(np.square(squares)))),
-        float(np.mean(foreseen)) if foreseen else nothing,
-    )

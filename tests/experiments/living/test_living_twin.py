@@ -13,8 +13,9 @@ from experiments.living.living_twin_options import Options
 from experiments.living.trial import Watched
 
 
-def watched(name="load base", found="load base", delay=2.0, off=0.0, alarms=()):
-    return Watched(name, 1.0, delay, found, 1.0 + off, 0.1, alarms, 1800.0, 0.5, 1.2)
+def watched(name="load base", found="load base", delay=2.0, off=0.0, alarms=(), suspected=""):
+    told = found, 1.0 + off, 0.1, suspected, 1.3, 0.1
+    return Watched(name, 1.0, delay, *told, alarms, 1800.0, 0.5, 1.2)
 
 
 def measured(tmp_path, results, monkeypatch):
@@ -57,6 +58,18 @@ def test_what_sticks_has_no_size_that_a_band_could_hold(tmp_path, monkeypatch):
     found = measured(tmp_path, pairs + [watched("", "")] * 5, monkeypatch)["measured"]
     assert found["size_coverage95"]["n"] == 3  # noqa: PLR2004
     assert found["isolation_fraction"]["mean"] == 1.0
+
+
+def test_what_is_suspected_by_what_is_linear_is_held_beside_what_was_named(tmp_path, monkeypatch):
+    spring = "spring rear_left"
+    changed = [
+        watched(suspected="load base"), watched(suspected=spring), watched(suspected="load base"),
+        watched(found=spring, suspected="load base"), watched(),
+    ]  # fmt: skip
+    found = measured(tmp_path, changed + [watched("", "")] * 5, monkeypatch)["measured"]
+    assert found["right_linear"]["mean"] == found["right_tried"]["mean"] == 0.75  # noqa: PLR2004
+    assert (found["right_linear"]["n"], found["covered_linear"]["n"]) == (4, 3)
+    assert (found["covered_linear"]["mean"], found["covered_tried"]["mean"]) == (0.0, 1.0)
 
 
 @pytest.mark.slow
