@@ -66,11 +66,12 @@ def run(options: Options, output: Output) -> None:
         options: ``quick`` takes one rover, one happening, short times and few motions.
         output: Receives ``detection_delay_s``, ``isolation_fraction`` and ``size_coverage95``, also
             by cell, ``right_linear`` and ``covered_linear`` beside ``right_tried`` and
-            ``covered_tried``, ``false_alarms_per_10h``, ``surprise`` and ``prediction_nees``;
-            of looking ahead ``tip_foreseen_fraction`` and ``false_stop_fraction``, also by
-            kind of motion, and ``look_ahead_s``; on boards ``deadline_miss_fraction`` and ``false_alarms_on_boards``;
-            of programs that are killed ``kill_lost_s``, ``kill_back_s`` and ``kill_moved``; of
-            missions ``mission_success/<change>/<with or without>`` and ``mission_p/<change>``.
+            ``covered_tried``, ``false_alarms_per_10h``, ``surprise`` and ``prediction_nees``; of
+            looking ahead ``tip_foreseen_fraction`` and ``false_stop_fraction``, also by kind of
+            motion, and ``look_ahead_s``; on boards ``deadline_miss_fraction`` and
+            ``false_alarms_on_boards``; of programs that are killed ``kill_lost_s``, ``kill_back_s``
+            and ``kill_moved``; of missions ``mission_success/<change>/<with or without>`` and
+            ``mission_p/<change>``.
     """
     parts = {
         "changes": _changes, "ahead": _ahead, "boards": _boards, "kills": _kills,
