@@ -54,7 +54,7 @@ class TrialConfig:
     coarse: tuple[float, ...] = (0.2, 0.5, 1.0, 2.0, 5.0)
     fine: tuple[float, ...] = (0.7, 0.85, 1.0, 1.15, 1.4)
     first: int = 3
-    least: int = 5
+    least: int = 4
     most: int = 16
     parts: int = 4
     off: float = 0.1

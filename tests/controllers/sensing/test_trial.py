@@ -114,9 +114,12 @@ def test_a_change_that_is_hardly_any_is_learned_and_not_named():
 
 
 def test_what_none_of_them_explains_is_unknown():
-    trial = Trial(CHANGES, LEARNED)
-    found, _ = tried(trial, BEFORE + [0.8, 0.0, 0.0, 0.0], knocked=1.5)
-    assert found is not None and found.name == UNKNOWN
+    names = list[str]()
+    for seed in range(10):
+        trial = Trial(CHANGES, LEARNED)
+        found, _ = tried(trial, BEFORE + [0.8, 0.0, 0.0, 0.0], seed, knocked=3.0)
+        names += [found.name] if found is not None else []
+    assert set(names) == {UNKNOWN} and len(names) >= 8  # noqa: PLR2004
 
 
 def test_what_is_strange_for_a_while_only_was_a_stone():
