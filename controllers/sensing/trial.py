@@ -43,7 +43,9 @@ class TrialConfig:
         off: Standard deviation of a size by what models of such robots miss, over the size.
         left: Ratio of likelihoods to the likeliest change above which a change is left.
         decided: Ratio of likelihoods to the next one with which a change is named before `most`.
-        needed: Ratio of likelihoods to no change from which on one is named at all.
+        needed: Logarithm of the ratio of likelihoods to no change, in the mean of the blocks of the
+            later parts, from which on one is named at all: as no model is a robot, some change
+            explains an unchanged one better than none, too, though by less.
         smallest: Least size that is named, over how large the change may well be: smaller ones are
             learned.
         sure: Least size that is named, over its standard deviation.
@@ -60,7 +62,7 @@ class TrialConfig:
     off: float = 0.1
     left: float = 1e-20
     decided: float = 1e6
-    needed: float = 1e8
+    needed: float = 7.5
     smallest: float = 0.4
     sure: float = 1.3
     freedom: float = 4.0
@@ -103,7 +105,7 @@ class Trial:
         self._learned = learned
         self.over = False
         self.finding: Finding | None = None
-        self._parts = 1
+        self._parts, self._later = 1, 0
         self.begin: list[int] | None = None
         signed = [(each, sign * each.spread) for each in suspects for sign in _signs(each)]
         self._try(signed, self._config.coarse, [0.0] * len(signed))
@@ -186,6 +188,7 @@ class Trial:
         self._count += measured
         self._without.append(float(squares[0].sum()) / max(1, measured))
         self._blocks += 1
+        self._later += self._parts > 1
 
     def _told(self) -> tuple[list[FloatArray], list[float]]:
         """Return how likely each size is in this part, and each change over no change in all."""
@@ -216,7 +219,7 @@ class Trial:
         config = self._config
         parts, likely = self._told()
         best, *others = sorted(range(len(likely)), key=lambda each: -likely[each])
-        needed = likely[best] > math.log(config.needed)
+        needed = likely[best] > config.needed * self._later
         decided = not others or likely[best] - likely[others[0]] > math.log(config.decided)
         enough = self._blocks >= config.least and needed and decided
         limit = likely[best] + math.log(config.left)

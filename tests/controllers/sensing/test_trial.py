@@ -59,10 +59,10 @@ def test_what_happened_is_named_with_its_size_among_others(index, size):
 
 def test_what_earlier_parts_told_counts_in_the_later_ones():
     """Ten times fainter than usual, and larger than any size of the second part."""
-    config, named = TrialConfig(), 0
+    config, named = TrialConfig(needed=0.3), 0
     for seed in range(10):
         true = BEFORE + 1.5 * CHANGES[2].direction
-        found, tick = tried(Trial(CHANGES, LEARNED), true, seed, strength=0.1)
+        found, tick = tried(Trial(CHANGES, LEARNED, config), true, seed, strength=0.1)
         named += found is not None
         # What the second part takes its time for, the third and fourth need not show anew.
         later = config.first + config.most + 2 * config.least
@@ -104,10 +104,19 @@ def test_where_the_unchanged_robot_explains_what_is_measured_nothing_is_named():
         assert tick == 25 * (3 + 16) - 1
 
 
+def test_what_explains_each_second_a_little_better_only_is_not_named():
+    """However long it does, as no model is a robot."""
+    true = BEFORE + 1.5 * CHANGES[2].direction
+    for needed, named in ((0.3, True), (7.5, False)):
+        config = TrialConfig(needed=needed)
+        found, _ = tried(Trial(CHANGES, LEARNED, config), true, seed=1, strength=0.1)
+        assert (found is not None) is named
+
+
 def test_a_change_that_is_hardly_any_is_learned_and_not_named():
     """A tenth of how large it may well be, though it is seen beyond doubt."""
     for share, named in ((0.1, False), (1.0, True)):
-        trial = Trial(CHANGES[:1], LEARNED, TrialConfig(needed=10.0))
+        trial = Trial(CHANGES[:1], LEARNED, TrialConfig(needed=0.5))
         found, _ = tried(trial, BEFORE + [share, 0.0, 0.0, 0.0], seed=2)
         assert (found is not None) is named
         assert trial._likely.max() > trial._likely[0] + 4.0
@@ -116,7 +125,7 @@ def test_a_change_that_is_hardly_any_is_learned_and_not_named():
 def test_what_none_of_them_explains_is_unknown():
     names = list[str]()
     for seed in range(10):
-        trial = Trial(CHANGES, LEARNED)
+        trial = Trial(CHANGES, LEARNED, TrialConfig(needed=1.0))
         found, _ = tried(trial, BEFORE + [0.8, 0.0, 0.0, 0.0], seed, knocked=3.0)
         names += [found.name] if found is not None else []
     assert set(names) == {UNKNOWN} and len(names) >= 8  # noqa: PLR2004
