@@ -154,7 +154,7 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
         spread = TOLERANCES.joint_friction * _UNIFORM * joint.friction
         found.append(Deviation(f"drag {joint.name}", "N m", spread, 0.3, 1, 0.05, friction))
     for axis in robot.axes:
-        supply = Deviation(f"supply {axis}", "1", 0.05, 0.3, 1, 0.2, supply={axis: 1.0})
+        supply = Deviation(f"supply {axis}", "1", 0.05, 0.4, 1, 0.2, supply={axis: 1.0})
         found.append(dataclasses.replace(supply, most=WEAKEST, wholly=f"blocked {axis}"))
     zeros = {
         "arm_angles": (robot.joint_names, "rad", SENSOR_ERRORS.encoder_zero, 0.005),
