@@ -104,8 +104,8 @@ class TwinBeside:
         shadow: The shadow.
         deviations: Ways in which it may differ.
         blocks: What was found, block by block.
-        suspected: Of each alarm the change that is likeliest as far as innovations are linear in
-            it, before anything is tried out.
+        suspected: Likeliest change at each alarm, before any is tried out; innovations count as
+            linear in it.
         named: Changes that were named.
         foresight: What became of its predictions.
 

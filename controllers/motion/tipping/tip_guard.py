@@ -1,8 +1,9 @@
 """A guard of what a rover does in the field: moves of its arm, and drives on slopes.
 
-The zero-moment point knows neither springs nor the free centre joint: across a slope of 25 degrees
-it is well inside the footprint of a rover that is likelier to tip over than not. So a move that it
-allows is also looked at ahead, which takes 0.1 s while the rover stands.
+The zero-moment point knows neither springs nor the free centre joint: with the arm over the lower
+wheels across a slope of 28 degrees it is 5 cm inside the footprint of a rover that is likely to tip
+over. So a move that it allows is also looked at ahead, which takes 0.1 s while the rover stands,
+and 2 s where it is slowed further and further and then refused.
 """
 
 import numpy as np

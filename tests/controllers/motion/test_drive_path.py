@@ -353,7 +353,7 @@ def test_beyond_the_largest_tilt_it_stops_and_may_creep_away() -> None:
     assert done.motions[:, 0].min() == pytest.approx(-CONFIG.creep * CONFIG.speed, rel=0.05)
 
 
-class Warning:
+class WarningGuard:
     """Guard that warns of drives towards +y from a tick on, and notes when it was asked."""
 
     def __init__(self, since: int) -> None:
@@ -366,7 +366,7 @@ class Warning:
 
 
 def test_a_drive_that_is_likely_to_tip_over_stops_and_may_go_back() -> None:
-    guard = Warning(since=500)
+    guard = WarningGuard(since=500)
     driver = DrivePath(STEER, [(0.0, 0.0), (0.0, 2.0)], guard=guard)
     reasons: list[str] = []
 
