@@ -38,7 +38,8 @@ def test_every_picture_has_one_recipe_and_every_recipe_a_picture():
         str(path.relative_to(ROOT))
         for folder in ("docs", "models")
         for path in (ROOT / folder).rglob("*")
-        if path.suffix in PICTURE
+        # `docs/measured` holds stored jobs; pictures made of them there are shown elsewhere.
+        if path.suffix in PICTURE and "measured" not in path.parts
     ]
     assert sorted(stored) == sorted([*made, texture])
 

@@ -138,6 +138,12 @@ RECIPES = (
         "an hour",
     ),
     Recipe(
+        "-m experiments mission-envelope --seed 9119 --axes springs left_springs load clearance"
+        " relief slope errors head_errors delay loss --out docs/measured --resume",
+        {"docs/envelope.png": Shown("docs/measured/mission-envelope/figures/envelope.png")},
+        "seconds, of the insertions kept there",
+    ),
+    Recipe(
         f"-m experiments ch5-insertion --quick --record --out {OUT}\n"
         f"-m twin.recording.record screenshot {OUT}/ch5-insertion/run.rrd {OUT}/viewer.png",
         {"docs/viewer.png": Shown(f"{OUT}/viewer.png", 1200, 64)},
