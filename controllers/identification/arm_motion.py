@@ -139,7 +139,8 @@ def swing(
         steps,
         time_step,
     )
-    trajectory = Trajectory(time_step, rows[:, 0], rows[:, 1], rows[:, 2], rows[:-1, 3])
+    angle, rate, acceleration, jerk = np.ascontiguousarray(rows.T)
+    trajectory = Trajectory(time_step, angle, rate, acceleration, jerk[:-1])
     return trajectory, ArmState(*end)
 
 

@@ -149,7 +149,7 @@ def project_discs(
 
 
 def check_image(image: NDArray[Any], geometry: StereoGeometry) -> ImageArray:
-    """Return an image, contiguous.
+    """Return an image, contiguous and not to be written to.
 
     Raises:
         ValueError: If it is not grey of 8 bits or not of the geometry's size.
@@ -159,7 +159,10 @@ def check_image(image: NDArray[Any], geometry: StereoGeometry) -> ImageArray:
         raise ValueError(
             f"marker image: got shape {image.shape}, {image.dtype}; needs {expected}, uint8"
         )
-    return np.ascontiguousarray(image)
+    # Compiled code is compiled anew for arrays that may be written to.
+    grey = np.ascontiguousarray(image).view()
+    grey.flags.writeable = False
+    return grey
 
 
 class PixelNoise(NamedTuple):

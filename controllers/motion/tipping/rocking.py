@@ -115,11 +115,13 @@ def rock(chassis: Chassis, copies: Copies, moving: Moving) -> tuple[FloatArray, 
 @numba.njit(cache=True, parallel=True)
 def _rock(chassis: Any, copies: Any, moving: Any, places: Any, forces: Any) -> None:
     steps = round(moving.period / STEP)
-    for k in numba.prange(len(copies.masses)):
+    for row in numba.prange(len(copies.masses)):
+        # Numba compiles `_advance` anew for each type: an unsigned index, a constant -1.
+        k, settle = np.int64(row), np.int64(-1)
         # Heave, pitch, roll and centre joint, and where the halves are held against each other.
         state, rates, held = np.zeros(4), np.zeros(4), np.zeros(1)
         for _ in range(_SETTLING):
-            _advance(chassis, copies, k, moving, -1, copies.ups[k], 0.0, state, rates, held)
+            _advance(chassis, copies, k, moving, settle, copies.ups[k], 0.0, state, rates, held)
         # Gravity was known in the front half's frame: now it is in the ground's.
         ground = _turned(state, copies.ups[k], 1.0)
         turning, aside = _scrubbing(ground, copies.grips[k], copies.turns[k], chassis.wheels)
@@ -162,7 +164,7 @@ def _turned(state: Any, vector: Any, sense: float) -> Any:
 
 @numba.njit(cache=True)
 def _advance(
-    chassis: Any, copies: Any, k: int, moving: Any, i: int, up: Any, aside: float,
+    chassis: Any, copies: Any, k: Any, moving: Any, i: Any, up: Any, aside: float,
     state: Any, rates: Any, held: Any,
 ) -> Any:  # fmt: skip
     """Advance copy k by a step at time i of the plan, -1 to settle; return the ground's force."""
