@@ -60,7 +60,9 @@ class Foresight:
         squares, counts = self._squares[kind], self._counts[kind]
         if squares is None or counts is None:
             return None
-        return np.sqrt(np.where(counts >= self._config.least, squares, np.nan))
+        # A reading that never erred sticks, and says nothing of how far the next one will err.
+        known = (counts >= self._config.least) & (squares > 0.0)
+        return np.sqrt(np.where(known, squares, np.nan))
 
     def add(self, errors: FloatArray, kind: int) -> None:
         """Take a prediction.

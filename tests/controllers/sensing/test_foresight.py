@@ -20,6 +20,15 @@ def test_bands_are_those_of_the_errors_of_each_kind_of_motion():
     assert np.mean(foresight.nees[2000:]) == pytest.approx(1.0, abs=4.0 * np.sqrt(0.5 / 1960))
 
 
+def test_a_reading_that_sticks_has_no_band_and_breaks_no_other_s():
+    foresight = Foresight(ForesightConfig(least=2))
+    for error in (1.0, -1.0):
+        foresight.add(np.array([error, 0.0]), 0)
+    np.testing.assert_array_equal(foresight.band(0), [1.0, np.nan])
+    foresight.add(np.array([2.0, 0.5]), 0)
+    assert foresight.nees == [4.0]
+
+
 @pytest.mark.parametrize(("factor", "expected"), [(0.5, 0.25), (3.0, 9.0)])
 def test_errors_that_grow_leave_the_band(factor, expected):
     rng, foresight = np.random.default_rng(1), Foresight(ForesightConfig(memory=1e9))

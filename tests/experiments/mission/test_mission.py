@@ -122,8 +122,10 @@ def test_what_nobody_sees_of_robots_on_boards_is_not_counted_as_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     unseen = result(tracks=TRACKS, peak=math.nan, touch=math.nan)
-    found, _, _ = measured(Options(out=tmp_path, seeds=2), [unseen, unseen], monkeypatch)
-    assert not {"collisions", "collided_fraction", "tip_overs"} & set(found)
+    options = Options(out=tmp_path, seeds=2, without=("paths",))
+    found, _, _ = measured(options, [unseen] * 4, monkeypatch)
+    assert not [key for key in found if key.startswith(("collisions", "collided", "tip_overs"))]
+    assert found["success_p/without_paths"] == 1.0
     assert found["success_fraction"]["mean"] == 1.0
 
 
