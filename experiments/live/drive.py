@@ -9,7 +9,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from rich.console import Console
@@ -37,6 +37,22 @@ _FIELD = dataclasses.replace(ROUGH, shadows=False)  # They take half of an image
 _PERIOD = 0.05  # Robot time between two states that are shown [s].
 
 
+class DriveTold(TypedDict, total=False):
+    """What a page may tell.
+
+    Attributes:
+        drive: Speed ahead and turning to the left, -1 to 1.
+        arm: Rates of the arm's joints, -1 to 1.
+        identify: Whether the twin is to move the rover, so that it learns more.
+        activate: Whether the rover is to be active.
+    """
+
+    drive: tuple[float, float]
+    arm: tuple[float, float, float, float]
+    identify: bool
+    activate: bool
+
+
 def run(options: Options) -> int:
     """Let a person drive until Ctrl+C is pressed; return the exit status.
 
@@ -62,7 +78,7 @@ def served(
     """
     check_calibrations(options.robot)
     with (
-        contextlib.closing(PageServer(PAGE, options.port)) as server,
+        contextlib.closing(PageServer(PAGE, DriveTold, options.port)) as server,
         connect(
             options.robot,
             field=_FIELD,
@@ -177,7 +193,7 @@ class DrivePage(LoopRecorder):
         if "closed" in told:
             self._hand.rest()
         elif "drive" in told:
-            ahead, left = map(float, told["drive"])
+            ahead, left = told["drive"]
             self._hand.ask(ahead, left, told["arm"])
 
     def more(self) -> Mapping[str, Any]:

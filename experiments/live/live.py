@@ -23,7 +23,7 @@ from experiments.live.drive import LONGEST, DrivePage, hand_of, paced, served, t
 from experiments.live.live_options import Options
 from experiments.live.page_server import PageServer
 from experiments.live.twin_beside import Named, TwinBeside, placement_of
-from experiments.live.twin_folder import TwinFolder, next_run
+from experiments.live.twin_folder import TwinFolder, next_run, take
 from experiments.live.twin_process import TwinProcess
 from experiments.live.twin_watch import Watch
 from twin.clock import Clock
@@ -44,7 +44,8 @@ def run(options: Options) -> int:
     """Run the twin beside a log or a rover; return the exit status.
 
     Raises:
-        ExperimentError: If the log cannot be used, or nothing be written.
+        ExperimentError: If the log cannot be used, another run has the folder, or nothing can be
+            written.
         OptionError: If the rover cannot be as fast, its calibration cannot be used, or the port is
             taken.
     """
@@ -59,7 +60,8 @@ def read(options: Options, log: Path) -> None:
     """Run the twins of a log's rovers.
 
     Raises:
-        ExperimentError: If it cannot be used, or nothing be written.
+        ExperimentError: If it cannot be used, another run has the folder, or nothing can be
+            written.
     """
     use_style()
     with told_to_end() as ended, ExitStack() as stack:
@@ -114,6 +116,7 @@ def _watch(
     placed = placement_of(stream.settings, robot)
     twin = TwinBeside(placed, options.learning)
     stack.callback(twin.close)
+    stack.enter_context(take(out))
     folder = stack.enter_context(closing(TwinFolder(out, new=True)))
     recording = out / "live.rrd"
     return Watch(folder, twin, placed, recording), recording
@@ -123,7 +126,7 @@ def own(options: Options) -> None:
     """Own a rover, lend it to a person's hand, and keep its history.
 
     Raises:
-        ExperimentError: If the history cannot be read or written.
+        ExperimentError: If another run has the folder, or its history cannot be read or written.
         OptionError: If the rover cannot be as fast, its calibration cannot be used, or the port is
             taken.
         RobotError: If the rover could not be stopped.
@@ -132,6 +135,7 @@ def own(options: Options) -> None:
         (robot,) = connection.robots.values()
         hand = hand_of(robot, options)
         placed = placement_of(connection.settings, robot.name)
+        stack.enter_context(take(options.out))
         number, mended = next_run(options.out)
         if np.isfinite(mended):
             print(f"the run before was killed; its log was completed, up to {mended:.2f} s")
@@ -245,7 +249,7 @@ class OwnPage(DrivePage):
         else:
             super().take(told)
         if "activate" in told:
-            self.wanted, self._why = bool(told["activate"]), ""
+            self.wanted, self._why = told["activate"], ""
             self._hand.reset()
 
     def stop(self, why: str) -> None:

@@ -14,7 +14,7 @@ function follow(image, about, ended) {
     URL.revokeObjectURL(drawn);
     image.src = drawn = URL.createObjectURL(data);
   };
-  stream.onclose = ({ code }) => ended(code === 4000 ? "shown on another page" : "ended");
+  stream.onclose = ({ code, reason }) => ended(code >= 4000 ? reason : "ended");
 }
 
 const WHEELS = {  // What keys ask of a rover's wheels: ahead, and to the left.

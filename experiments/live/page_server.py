@@ -1,12 +1,14 @@
 """A page in the browser that shows images and tells what a person does; on loopback alone."""
 
 import json
+import math
 import threading
 from collections.abc import Mapping
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
+import cattrs
 import cv2
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
@@ -19,9 +21,21 @@ from perception.geometry.arrays import ImageArray
 HOST = "127.0.0.1"
 _POLICY = "default-src 'self' 'unsafe-inline' blob: data:; frame-ancestors 'none'"
 _REPLACED = 4000  # Code that closes a page for a newer one.
+_UNKNOWN = 4001  # Code that closes a page that tells what it may not.
 _QUALITY = 80  # Of JPEGs.
 _Shown = tuple[str, bytes]
 _SHARED = {"page.css": "text/css", "page.js": "text/javascript"}  # What all pages use.
+
+
+def _finite(value: Any, _: type) -> float:
+    number = float(value)
+    if not math.isfinite(number):
+        raise ValueError("not finite")
+    return number
+
+
+_CONVERTER = cattrs.Converter(forbid_extra_keys=True)
+_CONVERTER.register_structure_hook(float, _finite)
 
 
 class PageServer:
@@ -32,6 +46,7 @@ class PageServer:
 
     Args:
         page: File of the page, which may use ``page.css`` and ``page.js`` of this folder.
+        told: `TypedDict` of what the page may tell; a page that tells anything else is closed.
         port: Port on loopback; 0 for a free one.
 
     Attributes:
@@ -42,7 +57,8 @@ class PageServer:
         OptionError: If the port is taken.
     """
 
-    def __init__(self, page: Path, port: int = 0) -> None:
+    def __init__(self, page: Path, told: type, port: int = 0) -> None:
+        self._kind = told
         self._files = {"/": (page.read_bytes(), "text/html")}
         for name, kind in _SHARED.items():
             self._files[f"/{name}"] = Path(__file__).with_name(name).read_bytes(), kind
@@ -128,13 +144,15 @@ class PageServer:
             before, self._connection = self._connection, connection
             self._changed.notify_all()
         if before is not None:
-            before.close(_REPLACED, "the page was opened anew")
+            before.close(_REPLACED, "shown on another page")
         sender = threading.Thread(target=self._send, args=(connection,), daemon=True)
         sender.start()
         try:
             for message in connection:
-                self._take(connection, json.loads(message))
-        except (ConnectionClosed, ValueError):
+                self._take(connection, _CONVERTER.structure(json.loads(message), self._kind))
+        except (ValueError, cattrs.BaseValidationError):
+            connection.close(_UNKNOWN, "the page told what it may not")
+        except ConnectionClosed:
             connection.close()
         self._take(connection, {"closed": True})
         with self._changed:

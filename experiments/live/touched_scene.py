@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal, TypedDict
 
 import mujoco
 import numpy as np
@@ -14,6 +14,28 @@ _SIDES = np.array([-1.0 if "left" in wheel else 1.0 for wheel in WHEELS])
 _VOLTAGE = 6.0  # Of the motors of a rover that is driven [V].
 _LATEST = 0.2  # Time within which a key that is held has to be told again [s].
 _ORBIT = 180.0  # Turn of the camera that a drag across the whole image brings [deg].
+
+
+class SceneTold(TypedDict, total=False):
+    """What a page may tell of a person's hands.
+
+    Attributes:
+        drive: Ahead and left, -1 to 1.
+        press: What is pressed.
+        orbit: Right and down, over the image's height; likewise ``shift`` and ``pull``.
+        zoom: Logarithm of the distance's growth.
+        grab: Right and down, over the image's size.
+        release: Told where what was grabbed is let go.
+    """
+
+    drive: tuple[float, float]
+    press: Literal["pause", "reset", "next"]
+    orbit: tuple[float, float]
+    shift: tuple[float, float]
+    pull: tuple[float, float]
+    zoom: float
+    grab: tuple[float, float]
+    release: bool
 
 
 class TouchedScene:
@@ -72,29 +94,26 @@ class TouchedScene:
         """Take what a person does.
 
         Args:
-            told: One of ``drive`` (ahead and left, -1 to 1), ``press`` (pause, reset or next),
-                ``orbit``, ``shift`` and ``pull`` (right and down, over the image's height),
-                ``zoom``, ``grab`` (right and down, over the image's size), ``release`` or
-                ``closed``.
+            told: One entry of `SceneTold`, or ``closed``.
             now: Time of the wall clock [s].
         """
         if "drive" in told:
-            ahead, left = (min(max(float(part), -1.0), 1.0) for part in told["drive"])
+            ahead, left = (min(max(part, -1.0), 1.0) for part in told["drive"])
             self._held, self._told = (ahead, left), now
         elif "press" in told:
-            self._press(str(told["press"]))
+            self._press(told["press"])
         elif "grab" in told:
-            self._grab(*map(float, told["grab"]))
+            self._grab(*told["grab"])
         elif "pull" in told:
-            self._move_hand(*map(float, told["pull"]))
+            self._move_hand(*told["pull"])
         elif "orbit" in told:
-            right, down = map(float, told["orbit"])
+            right, down = told["orbit"]
             self._camera.azimuth -= _ORBIT * right
             self._camera.elevation = min(max(self._camera.elevation - _ORBIT * down, -89.0), 89.0)
         elif "shift" in told:
-            self._move_camera(mujoco.mjtMouse.mjMOUSE_MOVE_V, *map(float, told["shift"]))
+            self._move_camera(mujoco.mjtMouse.mjMOUSE_MOVE_V, *told["shift"])
         elif "zoom" in told:
-            self._camera.distance *= math.exp(min(max(float(told["zoom"]), -1.0), 1.0))
+            self._camera.distance *= math.exp(min(max(told["zoom"], -1.0), 1.0))
         if "release" in told or "closed" in told:
             self._hand.active = self._hand.select = 0
             self._data.xfrc_applied[:] = 0.0

@@ -11,13 +11,14 @@ import time
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TextIO
 
 import numpy as np
 
 from controllers.sensing.changes import ChangeMemory
 from controllers.sensing.diagnosis import Finding
 from experiments.harness.contract import ExperimentError
+from experiments.harness.storage import lock
 from experiments.live.twin_beside import Block, Named, TwinMemory
 from perception.geometry import files
 from twin.logs.log import LogError
@@ -139,6 +140,19 @@ def _read_memory(path: Path) -> TwinMemory:
         rows = {name: content[name] for name in ChangeMemory._fields}
         learned = ChangeMemory(**{**rows, "blocks": int(rows["blocks"])})
         return TwinMemory(tuple(names.tolist()), known, learned)
+
+
+def take(folder: Path) -> TextIO:
+    """Make a folder, take it for one run, and return what releases it when it is closed.
+
+    Raises:
+        ExperimentError: If another run has it, or it cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return lock(folder)
+    except OSError as error:
+        raise ExperimentError(f"{error.filename}: {error.strerror}") from None
 
 
 def next_run(folder: Path) -> tuple[int, float]:

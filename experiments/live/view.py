@@ -13,7 +13,7 @@ from rich.console import Console
 from experiments.harness.live_viewer import has_display
 from experiments.live.page_server import PageServer
 from experiments.live.subjects import model_of
-from experiments.live.touched_scene import TouchedScene
+from experiments.live.touched_scene import SceneTold, TouchedScene
 from experiments.live.view_options import Options
 
 PAGE = Path(__file__).with_name("view.html")
@@ -30,7 +30,7 @@ def run(options: Options) -> int:
         # Imported here because it loads what windows need.
         importlib.import_module("mujoco.viewer").launch(model, _at_home(model))
         return 0
-    server = PageServer(PAGE, options.port)
+    server = PageServer(PAGE, SceneTold, options.port)
     where = f"{options.subject}: open {server.url} in a browser; Ctrl+C ends it"
     Console().print(where, soft_wrap=True)
     try:

@@ -20,7 +20,7 @@ _SERVED = """
 from experiments.live import drive, view
 from experiments.live.page_server import PageServer
 for page in (drive.PAGE, view.PAGE):
-    PageServer(page).close()
+    PageServer(page, dict).close()
 """
 PARTS = ("models", "twin", "perception", "controllers", "experiments")
 

@@ -10,6 +10,7 @@ from rerun.chunk import RrdReader
 
 from experiments.__main__ import main
 from experiments.live.twin_beside import changes_of, placement_of
+from experiments.live.twin_folder import take
 from models.compose import RobotPlacement
 from tests.twin.shadow.test_shadow import ROBOT, Working, add_load
 from twin.connect import connect
@@ -107,6 +108,16 @@ def test_each_rover_of_a_log_that_is_still_written_has_a_twin(tmp_path, capsys):
         assert json.loads((out / robot / "live.json").read_text())["changes"] == []
     assert main([*words, "--name", "third"]) == 1
     assert "no rover 'third' that measures; there are other, rover1" in capsys.readouterr().err
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path, capsys):
+    path = tmp_path / "run.mcap"
+    write_log(path, 0.1)
+    with take(tmp_path):
+        assert main(["live", "--log", str(path), "--out", str(tmp_path)]) == 1
+        assert main(["live", "--robot", "sim", "--out", str(tmp_path)]) == 1
+    told = capsys.readouterr().err
+    assert told.count(f"{tmp_path}: in use by process") == 2  # noqa: PLR2004
 
 
 def test_what_a_log_cannot_tell_is_said_in_one_line(tmp_path, capsys):

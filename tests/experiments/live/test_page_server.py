@@ -4,6 +4,7 @@ import http.client
 import json
 import socket
 import time
+from typing import TypedDict
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -13,11 +14,15 @@ from experiments.harness.contract import OptionError
 from experiments.live.page_server import PageServer
 
 
+class Told(TypedDict, total=False):
+    drive: tuple[float, float]
+
+
 @pytest.fixture
 def server(tmp_path):
     page = tmp_path / "page.html"
     page.write_text("<p>here</p>")
-    server = PageServer(page)
+    server = PageServer(page, Told)
     yield server
     server.close()
 
@@ -77,7 +82,7 @@ def test_the_newest_image_comes_and_what_a_person_does_goes(server):
         page.send('{"drive": [1, 0]}')
         told = []
         until(lambda: told.extend(server.taken()) or told)
-        assert told == [{"drive": [1, 0]}]
+        assert told == [{"drive": (1.0, 0.0)}]
     until(lambda: not server.watched)
     assert server.taken() == [{"closed": True}]
 
@@ -95,9 +100,34 @@ def test_a_page_that_is_opened_later_takes_over(server):
             assert server.taken() == []  # The first one's end stops nothing.
 
 
+@pytest.mark.parametrize(
+    "told",
+    [
+        "no JSON",
+        "[]",
+        "null",
+        '{"fly": 1}',
+        '{"drive": 1}',
+        '{"drive": [1]}',
+        '{"drive": [NaN, 0]}',
+        '{"drive": [1e999, 0]}',
+        '{"drive": "ahead"}',
+        '{"drive": [null, 0]}',
+    ],
+)
+def test_a_page_that_tells_what_it_may_not_is_closed_and_heard_no_more(server, told):
+    with streamed(server) as page:
+        page.send(told)
+        with pytest.raises(ConnectionClosed) as closed:
+            page.recv(20.0)
+        assert closed.value.rcvd.code == 4001
+    until(lambda: not server.watched)
+    assert server.taken() == [{"closed": True}]
+
+
 def test_a_port_that_is_taken_is_told_in_one_line(server, tmp_path):
     with pytest.raises(OptionError, match=f"--port {server.port}: .*in use"):
-        PageServer(tmp_path / "page.html", server.port)
+        PageServer(tmp_path / "page.html", Told, server.port)
 
 
 def test_what_is_no_json_ends_the_page(server):
