@@ -252,9 +252,12 @@ def _figure(runs: Sequence[WeighedRobot]) -> Figure:
         upper.set(title=f"{axis} axis", ylabel="output of the inclinometer [V]")
         lower.set(xlabel=f"{axis} with the weight on [deg]", ylabel="weighed minus true [deg]")
         lower.axhline(0.0, color="k", linewidth=0.8)
-        for axes in (upper, lower):
-            axes.legend()
-            axes.grid(alpha=0.3)
+        upper.legend()
+        upper.grid(alpha=0.3)
+        lower.grid(alpha=0.3)
+    handles, labels = figure.axes[-1].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=len(labels), frameon=False)
+    figure.set_layout_engine("tight", rect=(0.0, 0.04, 1.0, 1.0))
     return figure
 
 
@@ -273,5 +276,12 @@ def _draw_axis(upper: Any, lower: Any, run: WeighedRobot, column: int, marker: s
     label = f"{run.key}: {line.zero_volts:.3f} V, {sensitivity:.2f} mV/deg"
     upper.plot(tilts, volts, marker, color=colour, markersize=5, label=label)
     raw = weighed_tilts(data, None, ARM_WEIGHT)[:, column] / DEGREE
-    lower.plot(truth, raw - truth, marker, color=colour, fillstyle="none", label="as the thesis")
+    lower.plot(
+        truth,
+        raw - truth,
+        marker,
+        color=colour,
+        fillstyle="none",
+        label=f"{run.key}, as the thesis",
+    )
     lower.plot(truth, tilts - truth, marker, color=colour, label=f"{run.key}, sag taken out")

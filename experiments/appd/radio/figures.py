@@ -35,7 +35,9 @@ def draw_fates(rows: Sequence[PooledTrials]) -> Figure:
             bottom += shares
         axes.set_xticks(places, [f"{row.error_rate:g}" for row in chosen])
         axes.set(title=link, xlabel="byte error rate [-]", ylabel="messages [%]")
-    figure.axes[0].legend(loc="lower left")
+    handles, labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=len(labels), frameon=False)
+    figure.set_layout_engine("tight", rect=(0.0, 0.07, 1.0, 1.0))
     return figure
 
 
