@@ -144,6 +144,11 @@ RECIPES = (
         "seconds, of the insertions kept there",
     ),
     Recipe(
+        "-m experiments own-robot --seed 2310 --out docs/measured --resume",
+        {"docs/own_robot.png": Shown("docs/measured/own-robot/figures/deviations.png", 1100, 64)},
+        "seconds, of the robots kept there",
+    ),
+    Recipe(
         f"-m experiments ch5-insertion --quick --record --out {OUT}\n"
         f"-m twin.recording.record screenshot {OUT}/ch5-insertion/run.rrd {OUT}/viewer.png",
         {"docs/viewer.png": Shown(f"{OUT}/viewer.png", 1200, 64)},

@@ -14,6 +14,7 @@ from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, NullLocator
 
 from experiments.harness.intervals import distribution, success_fraction
 from experiments.harness.output import Output
@@ -286,6 +287,10 @@ def _figure(results: Sequence[RobotResult]) -> Figure:
         for each in own:
             left.plot(places, each.off(each.found[0])[each.asked], ".", color="C0", alpha=0.5)
         left.axhspan(-SIGMAS, SIGMAS, color="0.9", zorder=0)
+        left.set_yscale("symlog", linthresh=5.0)
+        left.yaxis.set_major_locator(FixedLocator([-100.0, -10.0, -2.0, 0.0, 2.0, 10.0, 100.0]))
+        left.yaxis.set_major_formatter("{x:g}")
+        left.yaxis.set_minor_locator(NullLocator())
         left.set_ylabel(f"{kind}\nerror [stated deviations]")
         for index, motion in enumerate(MOTIONS):
             rows = [
@@ -296,7 +301,7 @@ def _figure(results: Sequence[RobotResult]) -> Figure:
             if rows:
                 size = np.sqrt(np.mean(np.square(rows), axis=0))
                 right.semilogy(places, size, "o-", lw=0.6, ms=4, label=motion)
-        right.set_ylabel("error, rms [deviations beforehand]")
+        right.set_ylabel("error, rms\n[deviations beforehand]")
         right.legend()
         for axes in (left, right):
             axes.set_xticks(places, names, rotation=90, fontsize="xx-small")
