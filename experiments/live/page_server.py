@@ -150,7 +150,7 @@ class PageServer:
         try:
             for message in connection:
                 self._take(connection, _CONVERTER.structure(json.loads(message), self._kind))
-        except (ValueError, cattrs.BaseValidationError):
+        except (ValueError, RecursionError, cattrs.BaseValidationError):
             connection.close(_UNKNOWN, "the page told what it may not")
         except ConnectionClosed:
             connection.close()

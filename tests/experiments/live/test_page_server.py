@@ -104,6 +104,7 @@ def test_a_page_that_is_opened_later_takes_over(server):
     "told",
     [
         "no JSON",
+        pytest.param("[" * 100_000, id="deep"),
         "[]",
         "null",
         '{"fly": 1}',
