@@ -75,7 +75,7 @@ def test_kalman_filter_refuses_another_number_of_columns():
 def test_noise_adds_to_the_products_what_the_equations_say():
     """Against 400 draws of the noise, of the products that matter: rows and columns weighed by
     the truth."""
-    clean = predicted("x")[100:125]
+    clean = predicted("x")[100:150]
     sigma = noise_bound({mode: predicted(mode) for mode in MODES}) / np.sqrt(3)
     draws = 400
     generator = np.random.default_rng(6)
@@ -92,7 +92,7 @@ def test_noise_adds_to_the_products_what_the_equations_say():
         of_one = Equations.of(outputs[n], sigma, ARMS["x"]).products @ turned @ turned
         np.testing.assert_allclose(of_one, products[n], rtol=1e-6)
     scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
-    # Sums of 25 squares vary by 0.28 of themselves; the mean of 400 such by 0.014.
+    # Sums of 50 squares vary by a fifth; the mean of 400 such by a hundredth.
     np.testing.assert_allclose((products.mean(axis=0) - wanted) / scale, 0, atol=0.05)
 
 
