@@ -10,10 +10,8 @@ import numpy as np
 from scipy.stats import chi2
 
 from controllers.identification.any_model.fit import (
-    DIVERGED,
     SUSPECT,
     Fit,
-    FitError,
     Measurements,
     Told,
     fit,
@@ -30,8 +28,10 @@ CONFIRMED = 0.5
 """Largest error on unseen runs above the noise, over that of the model as drawn, that confirms."""
 NOISE = 2.0
 """Chi^2 per sample up to which an error is hardly more than noise."""
+SHORTER = (0.5, 0.25)
+"""Shorter time steps by which a fit is mended, over those by which it was found."""
 FINE = 5.0
-"""Largest shift by finer time steps, in deviations, of a result that is called good."""
+"""Largest shift by the last halving of time steps, in deviations, of a result called good."""
 FAR = 4.0
 """Deviations beforehand beyond which a parameter makes up for something else, or its spread is
 too small."""
@@ -281,17 +281,18 @@ def _by_finer_steps(
     logs: Sequence[Log],
     start: Start,
 ) -> Fit:
-    """Return the fit that time steps of half the length would give, by the same derivatives.
+    """Return the fit that shorter time steps would give, by the same derivatives.
 
-    Of a long log and little noise the steps are what the fit is least sure of.
+    Of a long log and little noise the steps are what the fit is least sure of. What the last
+    halving moves is what may be left.
     """
-    finer = spec.copy()
-    finer.option.timestep *= 0.5
-    with closing(ModelPredictor(finer, parameters, logs, start)) as other:
-        off = other(found.coordinates[None])[0] - predictor(found.coordinates[None])[0]
-    if not np.isfinite(off).all():
-        raise FitError(DIVERGED)
-    return found.moved(off, measurements(predictor), predictor.lowest)
+    points: list[FloatArray] = []
+    for share in SHORTER:
+        finer = spec.copy()
+        finer.option.timestep *= share
+        with closing(ModelPredictor(finer, parameters, logs, start)) as other:
+            points.append(found.moved(other, measurements(predictor), predictor.lowest))
+    return dataclasses.replace(found, coordinates=points[-1], shift=points[-1] - points[-2])
 
 
 def predicted(spec: mujoco.MjSpec, logs: Sequence[Log], start: Start) -> Runs:
@@ -379,8 +380,8 @@ def _doubts(found: Fit, unseen: Runs | None, names: Sequence[str]) -> list[str]:
         )
     if float(found.shifted.max(initial=0.0)) > FINE:
         doubts.append(
-            f"time steps of half the length move a parameter by {found.shifted.max():.2g} of its "
-            "deviations; say a shorter --step"
+            "time steps of a quarter of the length, not of half, move a parameter by "
+            f"{found.shifted.max():.2g} of its deviations; say a shorter --step"
         )
     doubts += [
         f"{name} is {abs(at):.2g} times as far off as may well be: either that is said too small, "

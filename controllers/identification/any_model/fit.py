@@ -53,6 +53,8 @@ WIDE, LINEAR = 1e-2, 3.0
 and by how much it may change the prediction, in deviations of the noise."""
 STEEP = 1.5
 """How much larger a derivative of the small step is where it fell on a jump."""
+MOVES = 2
+"""Steps to the likeliest point of another prediction by the same derivatives."""
 LAGS = 20
 """Lags by which residuals are compared with themselves."""
 WHITE = 0.01
@@ -143,7 +145,7 @@ class Fit:
         steps: Number of steps.
         spread: (r,) deviation of as much noise as the residuals say, over that of `Measurements`.
         weighted: (r, n) derivatives of the predictions, over that deviation.
-        shift: (n,) by which a better prediction moved the point; zero unless `moved`.
+        shift: (n,) by which a better prediction moved the point; zero unless it was.
         edges: Coordinates beside which the prediction jumps by more than the noise, so that their
             deviations mean nothing; none unless `sobered`.
     """
@@ -250,18 +252,24 @@ class Fit:
             self, information=weighted.T @ weighted, spread=spread, weighted=weighted
         )
 
-    def moved(self, off: FloatArray, measured: Measurements, lowest: FloatArray) -> "Fit":
-        """Return the fit to a better prediction, by the same derivatives.
+    def moved(self, predict: Predict, measured: Measurements, lowest: FloatArray) -> FloatArray:
+        """Return the point (n,) that a better prediction makes likeliest, by the same derivatives.
 
         Args:
-            off: (r,) the better prediction less that of the fit, where it ended.
+            predict: The better prediction.
             measured: What was measured.
             lowest: (n,) least values of the coordinates.
+
+        Raises:
+            FitError: If it diverges.
         """
-        scaled = off / measured.sigma / self.spread
-        shift = -self._of_noise @ (self.weighted.T @ scaled)
-        moved = np.maximum(self.coordinates + shift, lowest)
-        return dataclasses.replace(self, coordinates=moved, shift=moved - self.coordinates)
+        x = self.coordinates
+        for _ in range(MOVES):
+            off = (measured.values - predict(x[None])[0]) / measured.sigma / self.spread
+            if not np.isfinite(off).all():
+                raise FitError(DIVERGED)
+            x = np.maximum(x + self._of_noise @ (self.weighted.T @ off - x), lowest)
+        return x
 
 
 def fit(

@@ -209,23 +209,38 @@ SWING = """<mujoco><option timestep="0.002" integrator="RK4"/><worldbody><body n
 <sensor><jointpos name="encoder" joint="hinge" noise="0.001"/></sensor></mujoco>"""
 
 
-def test_spring_is_found_though_the_drawing_is_many_turns_behind_at_the_end():
-    """The pendulum swings freely at w^2 = g / l + k / (m l^2) with l = 0.5 m and I = m l^2."""
-    spec = mujoco.MjSpec.from_string(SWING)
+def swing_log(stiffness):
+    """Return a log of the pendulum swinging freely at w^2 = (g / l + k / I), I = m l^2, l = 0.5 m."""
     inertia = 0.25 + 0.4 * 0.03**2
-    rate = np.sqrt((9.81 * 0.5 + 20.0) / inertia)
+    rate = np.sqrt((9.81 * 0.5 + stiffness) / inertia)
     times = np.arange(0.0, 12.0, 0.01)
     fade = 0.02 / (2.0 * inertia)
     noise = 0.001 * np.random.default_rng(0).standard_normal(len(times))
     turn = np.sqrt(rate**2 - fade**2) * times
     angles = 0.05 * np.exp(-fade * times) * (np.cos(turn) + fade / rate * np.sin(turn)) + noise
-    log = Log(
+    return Log(
         {
             "twist": Signal("actuator", np.zeros(1), np.zeros((1, 1))),
             "encoder": Signal("sensor", times, angles[:, None]),
         }
     )
+
+
+def test_spring_is_found_though_the_drawing_is_many_turns_behind_at_the_end():
+    spec = mujoco.MjSpec.from_string(SWING)
     names = ["joint.hinge.stiffness", "joint.hinge.damping"]
-    found = identify_model(spec, [log], names, start="held")
+    found = identify_model(spec, [swing_log(20.0)], names, start="held")
     assert found.estimates[0].value == pytest.approx(20.0, rel=2e-3)
     assert found.fit.chi_square < 2.0
+
+
+def test_spring_is_mended_of_what_long_steps_do_to_it(monkeypatch):
+    """Steps of 20 ms swing faster, as if the spring were softer by half a percent."""
+    spec = mujoco.MjSpec.from_string(SWING.replace("RK4", "Euler").replace("0.002", "0.02"))
+    logs, names = [swing_log(10.0)], ["joint.hinge.stiffness"]
+    found = identify_model(spec, logs, names, start="held").estimates[0]
+    assert found.low < 10.0 < found.high
+    assert found.value == pytest.approx(10.0, rel=1e-3)
+    monkeypatch.setattr("experiments.own.identification.SHORTER", (1.0, 1.0))
+    coarse = identify_model(spec, logs, names, start="held").estimates[0]
+    assert coarse.high < 10.0 * (1.0 - 2e-3)

@@ -1,5 +1,7 @@
 """The fit of any model, against closed forms, SciPy and planted combinations."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
@@ -147,21 +149,31 @@ def test_a_jump_that_no_noise_hides_is_told():
 
 
 def test_fit_is_moved_to_what_a_better_prediction_gives_and_counts_the_way():
-    """A linear model and its offset: a fit of the offset model itself ends at the same point."""
+    """A linear model, 2 % stronger and offset: least squares of that model give the same point."""
     generator = np.random.default_rng(6)
-    matrix, sigma = generator.normal(size=(60, 3)), np.full(60, 5.0)
-    values = matrix @ [0.3, 0.1, -0.2] + 0.1 * generator.standard_normal(60)
-    offset = generator.normal(size=60)
-    data = measured(values, sigma)
-    found, better = (fit(linear(matrix, each), data, OPEN) for each in (0.0, offset))
-    moved = found.moved(offset, data, OPEN)
-    np.testing.assert_allclose(moved.coordinates, better.coordinates, atol=1e-3)
-    shift = moved.coordinates - found.coordinates
-    assert np.abs(shift).max() > 0.02
-    np.testing.assert_allclose(moved.covariance, found.covariance + np.outer(shift, shift))
+    matrix, noise = generator.normal(size=(60, 3)), 0.01
+    values = matrix @ [0.3, 0.1, -0.2] + noise * generator.standard_normal(60)
+    stronger, offset = 1.02 * matrix, 0.05 * generator.normal(size=60)
+    data = measured(values, np.full(60, noise))
+    found = fit(linear(matrix), data, OPEN)
+    point = found.moved(linear(stronger, offset), data, OPEN)
+    best = np.linalg.lstsq(stronger, values - offset)[0]
+    shift = point - found.coordinates
+    assert np.abs(shift).max() > 0.005
+    np.testing.assert_allclose(point, best, atol=1e-3 * np.abs(shift).max())
+    again = dataclasses.replace(found, coordinates=point, shift=shift)
+    np.testing.assert_allclose(again.covariance, found.covariance + np.outer(shift, shift))
     np.testing.assert_allclose(
-        moved.shifted, np.abs(shift) / np.sqrt(np.diag(found.covariance)), rtol=1e-9
+        again.shifted, np.abs(shift) / np.sqrt(np.diag(found.covariance)), rtol=1e-9
     )
+
+
+def test_a_fit_is_not_moved_to_a_prediction_that_diverges():
+    matrix = np.random.default_rng(7).normal(size=(60, 3))
+    data = measured(matrix @ [0.3, 0.1, -0.2], np.ones(60))
+    found = fit(linear(matrix), data, OPEN)
+    with pytest.raises(FitError, match="diverges"):
+        found.moved(lambda x: np.full((len(x), 60), np.nan), data, OPEN)
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
