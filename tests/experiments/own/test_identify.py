@@ -210,7 +210,7 @@ SWING = """<mujoco><option timestep="0.002" integrator="RK4"/><worldbody><body n
 
 
 def swing_log(stiffness):
-    """Return a log of the pendulum swinging freely at w^2 = (g / l + k / I), I = m l^2, l = 0.5 m."""
+    """Return a log of the pendulum swinging freely at w^2 = g / l + k / I, with l = 0.5 m."""
     inertia = 0.25 + 0.4 * 0.03**2
     rate = np.sqrt((9.81 * 0.5 + stiffness) / inertia)
     times = np.arange(0.0, 12.0, 0.01)
