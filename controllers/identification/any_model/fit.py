@@ -145,7 +145,8 @@ class Fit:
         steps: Number of steps.
         spread: (r,) deviation of as much noise as the residuals say, over that of `Measurements`.
         weighted: (r, n) derivatives of the predictions, over that deviation.
-        shift: (n,) by which a better prediction moved the point; zero unless it was.
+        shift: (n,) by which the better of two finer predictions moved the point further; zero
+            before.
         edges: Coordinates beside which the prediction jumps by more than the noise, so that their
             deviations mean nothing; none unless `sobered`.
     """
