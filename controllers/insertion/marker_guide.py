@@ -48,7 +48,7 @@ class MarkerGuideConfig:
         exposure: Exposure time of the images [s].
         blur: Largest motion of a marker's image within an exposure, by the camera's own motion
             [px]: a quarter of the radius of a marker at half a metre.
-        memory: Time for which joint angles are stored [s]: longer than an image is under way.
+        memory: Time for which joint angles are stored [s]; a pair that is older gives no pose.
         period: Servo tick [s].
     """
 
@@ -66,7 +66,7 @@ class MarkerGuideConfig:
     rate: float = 0.5
     exposure: float = 0.0
     blur: float = 1.0
-    memory: float = 1.0
+    memory: float = 3.0
     period: float = 0.01
 
 
@@ -145,7 +145,9 @@ class MarkerGuide:
         guidance = None
         if seen.stereo.usable and seen.stereo.stamp != self._stamp:
             self._stamp = seen.stereo.stamp
-            guidance = self._view(np.asarray(seen.stereo.value, dtype=np.uint8))
+            old = seen.arm_angles.stamp - self._stamp > self.config.memory
+            pair = np.asarray(seen.stereo.value, dtype=np.uint8)
+            guidance = self._unseen() if old else self._view(pair)
         sure = seen.time < self._both_seen + self.config.lost
         # Until the first detection the camera keeps its pose. While it sees the card alone it
         # follows it.
@@ -161,7 +163,7 @@ class MarkerGuide:
             self._angles.popleft()
 
     def _angles_at(self, time: float) -> FloatArray:
-        """Return the joint angles (4,) at a time, the nearest ones if it is beyond the memory."""
+        """Return the joint angles (4,) at a time; before the first step the arm was at rest."""
         times, angles = zip(*self._angles, strict=True)
         return np.array([np.interp(time, times, joint) for joint in np.transpose(angles)])
 
@@ -169,8 +171,7 @@ class MarkerGuide:
         """Detect card and slot in a pair; a repeated pair is of a frozen camera and gives none."""
         frozen, self._pair = np.array_equal(self._pair, pair), pair
         if frozen:
-            self.fits = (None, None)
-            return Guidance(self._stamp, False, False)
+            return self._unseen()
         config, angles = self.config, self._angles_at(self._stamp)
         camera = self._arm.tool_in_robot(angles)
         to_camera = camera.inv()
@@ -204,6 +205,11 @@ class MarkerGuide:
         apart = covariance + card_fit.covariance - both - both.T
         relative = transport_covariance(card.inv(), apart)
         return Guidance(self._stamp, True, slot_fit is not None, card.inv() * slot, relative)
+
+    def _unseen(self) -> Guidance:
+        """Return guidance by a pair in which nothing was looked for."""
+        self.fits = (None, None)
+        return Guidance(self._stamp, False, False)
 
     def _slot_before(self, angles: FloatArray) -> tuple[RigidTransform, FloatArray, FloatArray]:
         """Return the slot in the camera before a view, its covariance and xi by the calibration.

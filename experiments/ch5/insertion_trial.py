@@ -1,9 +1,9 @@
 """One insertion of ``ch5-insertion``, scored by the truth."""
 
+import bisect
 import contextlib
 import dataclasses
 import math
-from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -26,7 +26,6 @@ from twin.loop import LoopRecorder, Tick, run
 
 LIMIT = 190.0
 """Longest trial [s]: the slave gives up before."""
-_TICKS = 100  # Servo ticks for which the truth is kept: longer than any pair is under way.
 STAGES = tuple(InsertionStage)
 COURSE = (
     "time",
@@ -113,7 +112,7 @@ class Scorer(LoopRecorder):
         self.nees: list[float] = []
         self._setting, self._stamp = setting, math.nan
         # Time of each tick, and places and quaternions of slot and card then.
-        self._truths: deque[tuple[float, FloatArray, FloatArray]] = deque(maxlen=_TICKS)
+        self._truths: list[tuple[float, FloatArray, FloatArray]] = []
         data = setting.simulation.data
         self._bodies = [data.body(name).id for name in ("slot", f"{SLAVE}/card")]
 
@@ -144,7 +143,9 @@ class Scorer(LoopRecorder):
 
     def _truth_at(self, time: float) -> RigidTransform:
         """Return the true transform from the slot to the card at the time of a pair."""
-        _, places, quaternions = min(self._truths, key=lambda entry: abs(entry[0] - time))
+        after = bisect.bisect(self._truths, time, key=lambda entry: entry[0])
+        near = self._truths[max(after - 1, 0) : after + 1]
+        _, places, quaternions = min(near, key=lambda entry: abs(entry[0] - time))
         rotations = Rotation.from_quat(quaternions, scalar_first=True)
         slot, card = RigidTransform.from_components(places, rotations)
         return card.inv() * slot

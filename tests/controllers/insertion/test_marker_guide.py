@@ -284,33 +284,41 @@ def guide_of_prior(eyes, prior=PRIOR, **changes) -> MarkerGuide:
     return MarkerGuide(config, ARM, EYES, (slot, prior), card, eyes.angles)
 
 
-@pytest.mark.parametrize("late", [0.0, 0.25])
+def guidance_of_late_pair(eyes, guide, late):
+    """Return what a guide whose arm turns says of the start's pair, which arrives late [s]."""
+    seen, begun = eyes.observe(0.0), np.array(eyes.angles)
+    for tick in range(round(late / 0.01) + 1):
+        time = 0.01 * tick
+        angles = begun + np.array([0.125 / max(late, 0.01), 0.0, 0.0, 0.0]) * time
+        stereo = seen.stereo if time >= late - 1e-9 else MISSING
+        turned = Channel(angles, time, Validity.MEASURED)
+        _, guidance = guide.step(Observation(time, arm_angles=turned, stereo=stereo))
+        assert (guidance is None) == (stereo is MISSING)
+    return guidance
+
+
+@pytest.mark.parametrize("late", [0.0, 0.25, 1.15, 2.9])
 def test_pair_that_is_late_belongs_to_the_joint_angles_of_its_stamp(eyes, late):
-    """The arm turns at half a radian a second; the pair is of before, when the slot was seen."""
+    """The arm turns by 125 mrad; the pair is of before, when the slot was seen."""
     eyes.place((0.0, 0.0))
     guide, true = guide_of_prior(eyes), true_parts(eyes.data)
-    seen, begun = eyes.observe(0.0), np.array(eyes.angles)
-    for tick in range(26):
-        time = 0.01 * tick
-        angles = begun + np.array([0.5, 0.0, 0.0, 0.0]) * time
-        unseen = time < late
-        command, guidance = guide.step(
-            Observation(
-                time,
-                arm_angles=Channel(angles, time, Validity.MEASURED),
-                stereo=MISSING if unseen else seen.stereo,
-            )
-        )
-        if guidance is not None:
-            break
-    assert guidance is not None and guidance.card_seen and guidance.slot_seen
-    assert time == pytest.approx(late)
+    guidance = guidance_of_late_pair(eyes, guide, late)
+    assert guidance.card_seen and guidance.slot_seen
     # A mispaired camera would put the slot 125 mrad times half a metre aside.
     for found, wanted in (
         (guide.transform_slot_to_robot, true.slot_pose),
         (guide.transform_card_to_robot, true.card_pose),
     ):
         assert np.linalg.norm(found.translation - wanted.translation) < 4e-3
+
+
+def test_pair_older_than_the_joint_angles_gives_no_pose(eyes):
+    eyes.place((0.0, 0.0))
+    guide = guide_of_prior(eyes, memory=0.5)
+    before = guide.transform_slot_to_robot
+    guidance = guidance_of_late_pair(eyes, guide, 0.52)
+    assert (guidance.time, guidance.card_seen, guidance.slot_seen) == (0.0, False, False)
+    assert guide.transform_slot_to_robot is before
 
 
 def test_joint_angles_between_two_ticks_are_interpolated(eyes, monkeypatch):

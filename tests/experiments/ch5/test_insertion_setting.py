@@ -73,17 +73,19 @@ def test_robots_as_made_are_described_by_what_is_stated_of_all_such_robots():
     assert exposure == REALISMS["default"].cameras.exposure > 0.0
 
 
-def test_guidance_is_scored_by_where_the_card_was_when_its_images_were_taken():
+@pytest.mark.parametrize("delay", [0.25, 1.25])
+def test_guidance_is_scored_by_where_the_card_was_when_its_images_were_taken(delay):
+    ticks = round(delay / 0.01)
     with prepared(5) as setting:
         scorer, data = Scorer(setting), setting.simulation.data
         joint = setting.simulation.model.body(f"{SLAVE}/chassis").jntadr[0]
         address = setting.simulation.model.jnt_qposadr[joint]
         poses = []
-        for tick in range(40):
+        for tick in range(ticks + 15):
             data.qpos[address] += 1e-3
             mujoco.mj_kinematics(setting.simulation.model, data)
             poses.append(transform_between(data, "slot", f"{SLAVE}/card"))
-            late = tick - 25
+            late = tick - ticks
             sent = None
             if late >= 0:
                 covariance = 1e-6 * np.eye(6)
@@ -97,7 +99,7 @@ def test_guidance_is_scored_by_where_the_card_was_when_its_images_were_taken():
             scorer.record(Tick(tick, 0.01 * tick, observations, {}))
         np.testing.assert_allclose(scorer.nees, 0.0, atol=1e-9)
         assert len(scorer.nees) == 15
-        # A pose of now is 25 mm off.
+        # A pose of now is 25 mm off, or 125.
         setting.team.master.sent = dataclasses.replace(sent, transform_slot_to_card=poses[-1])
         scorer.record(Tick(40, 0.4, observations, {}))
         assert scorer.nees[-1] > 50.0
