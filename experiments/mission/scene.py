@@ -22,7 +22,7 @@ from experiments.ch5.insertion_scene import (
 )
 from models.clutter import PanelConfig, ScreenConfig
 from models.compose import FieldConfig, RobotPlacement, make_model
-from models.configuration import SUN_ELEVATION
+from models.configuration import START_RADIUS, SUN_ELEVATION
 from perception.geometry.arrays import FloatArray
 from perception.geometry.se3 import transport_covariance
 from perception.registration.target import TargetCad
@@ -120,11 +120,8 @@ def draw_scene(
     turn = rng.uniform(-1.0, 1.0) * math.radians(20.0)
     panel = PanelConfig((-0.5 + x, -0.3 + y), yaw=math.pi / 2 + turn, tilt=0.3, ballast=0.12)
     poses = _initial_poses(hardness.distance, rng)
-    walls = [
-        wall
-        for pose in poses.values()
-        if (wall := _wall(panel, pose, list(poses.values()), rng)) is not None
-    ]
+    starts = list(poses.values())
+    walls = [wall for pose in starts if (wall := _wall(panel, pose, starts, rng)) is not None]
     away, aside = rng.uniform(0.40, 0.50), rng.uniform(-1.0, 1.0) * math.radians(20.0)
     pillar = ScreenConfig((away * math.cos(aside), away * math.sin(aside)), aside, PILLAR)
     field = dataclasses.replace(
@@ -135,7 +132,7 @@ def draw_scene(
         slot_width=width,
         card_guides=True,
         clear=(*_FIELD.clear, _below_card(poses[SLAVE])),
-        screens=(_PLINTH, *walls, pillar, *(_block(pose, rng) for pose in poses.values())),
+        screens=(_PLINTH, *walls, pillar, *(_block(panel, pose, starts, rng) for pose in starts)),
     )
     errors = np.array([INITIAL_PLACE_ERROR, INITIAL_PLACE_ERROR, INITIAL_YAW_ERROR])
     known: dict[str, tuple[float, float, float]] = {}
@@ -238,9 +235,15 @@ def _wall(
     return None
 
 
-def _block(pose: FloatArray, rng: np.random.Generator) -> ScreenConfig:
-    """Return a block in the straight way from a pose to the slot."""
-    place = np.array(CARD_PLACE[:2])
-    while math.dist(place, CARD_PLACE[:2]) < 0.55:  # noqa: PLR2004
-        place = (1.0 - rng.uniform(0.3, 0.8)) * pose[:2]
-    return ScreenConfig((float(place[0]), float(place[1])), float(rng.uniform(0.0, 1.5)), BLOCK)
+def _block(
+    panel: PanelConfig, pose: FloatArray, poses: list[FloatArray], rng: np.random.Generator
+) -> ScreenConfig:
+    """Return a block in the straight way from a pose to the slot, off all poses and the panel."""
+    while True:
+        x, y = ((1.0 - rng.uniform(0.3, 0.8)) * pose[:2]).tolist()
+        if math.dist((x, y), CARD_PLACE[:2]) < 0.55:  # noqa: PLR2004
+            continue
+        block = ScreenConfig((x, y), float(rng.uniform(0.0, 1.5)), BLOCK)
+        off_starts = all(block.distance((x, y)) > START_RADIUS for x, y, _ in poses)
+        if off_starts and block.distance(panel.position) > panel.footprint:
+            return block

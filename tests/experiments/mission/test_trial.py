@@ -23,6 +23,7 @@ from experiments.mission.trial import (
     upright,
 )
 from models.clutter import ScreenConfig
+from models.configuration import check_screens
 from models.datasheets import RADIO
 from twin.hardware.emulator.modem import ModemConfig
 
@@ -100,6 +101,13 @@ def test_upright_takes_out_pitch_and_roll_as_an_inclinometer_measures_them(up):
     np.testing.assert_allclose(level.apply([0.0, 0.0, 1.0]), up, atol=1e-12)
     if up[2] == 1.0:
         np.testing.assert_allclose(level.as_euler("ZXY"), [0.7, 0.0, 0.0], atol=1e-12)
+
+
+def test_every_drawn_scene_can_be_built():
+    # One robot's block would stand at the other's start, or at the panel, in one of 140 draws.
+    for seed in range(300, 800):
+        scene = draw_scene(MissionTrial(1).width, generators(seed)[0])
+        check_screens(scene.field, scene.robots)
 
 
 def test_shortest_path_leads_around_what_truly_stands_there():
