@@ -303,6 +303,8 @@ class CardInserter:
             if len(self._tare) * config.period >= config.settle - 1e-9 and (shown or waited):
                 if self._is_crooked(float(card[4])):
                     self._back_off(float(card[4]))
+                elif self._is_rolled(slot):
+                    return self._fail("rolled", angles)
                 else:
                     self._hand_over(slot)
         return self._hold(self._pace * wheels, rates)
@@ -317,6 +319,12 @@ class CardInserter:
         config = self.config
         seats = config.seating is not None and self._backings < config.backings
         return seats and abs(yaw) > config.crooked
+
+    def _is_rolled(self, slot: FloatArray) -> bool:
+        """Return whether an edge of the card would pass the guides' mouths outside, by its roll."""
+        seating, half = self.config.seating, self.config.guide.card_width / 2.0
+        right = (inverse(slot) @ self._arm.card_frame(self._wanted))[:3, 0]
+        return seating is not None and abs(half * right[2]) > seating.mouth
 
     def _back_off(self, yaw: float) -> None:
         """Drive back, and then anew to where the card's angle out of the plane [rad] vanishes.

@@ -21,10 +21,12 @@ class Connector:
     Attributes:
         depth: Depth at which its bottom stops the card [m].
         snap: Force at which it lets the card in [N].
+        mouth: Distance along the normal, each way, at which the guides take in a card's edge [m].
     """
 
     depth: float
     snap: float
+    mouth: float
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

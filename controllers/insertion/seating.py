@@ -33,6 +33,7 @@ class SeatingConfig:
     Attributes:
         bottom: Depth at which the bottom stops the card [m].
         snap: Force at which the connector lets the card in, as drawn [N].
+        mouth: Distance along the normal, each way, at which the guides take in a card's edge [m].
         push: Largest force of the push [N].
         fall: Share of its peak by which a force falls that snaps.
         bottom_force: Rise of the force by which the bottom then shows itself [N].
@@ -45,6 +46,7 @@ class SeatingConfig:
 
     bottom: float
     snap: float
+    mouth: float
     push: float = 7.0
     fall: float = 0.5
     bottom_force: float = 3.0

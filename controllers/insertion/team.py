@@ -148,9 +148,10 @@ def seating_config(drawing: InsertionDrawing) -> SeatingConfig | None:
     Args:
         drawing: Drawing of card and slot.
     """
-    if drawing.connector is None:
+    connector = drawing.connector
+    if connector is None:
         return None
-    return SeatingConfig(drawing.connector.depth, drawing.connector.snap, speed=0.0015)
+    return SeatingConfig(connector.depth, connector.snap, connector.mouth, speed=0.0015)
 
 
 def marker_guide(

@@ -95,7 +95,7 @@ def insertion_drawing(width: float, guides: bool = False) -> InsertionDrawing:
         # Hand and camera head of the slave, from behind the card to its wrist.
         _box((-0.055, 0.015), (-TIP - 0.02, -TIP + 0.12), (-0.035, 0.035)),
         _box((-0.10, 0.10), (0.045, 0.16), (-0.012, 0.012)),
-        Connector(CARD_GUIDE.depth, CARD_GUIDE.snap) if guides else None,
+        Connector(CARD_GUIDE.depth, CARD_GUIDE.snap, CARD_GUIDE.mouth) if guides else None,
     )
 
 

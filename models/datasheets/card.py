@@ -98,6 +98,11 @@ class CardGuideSheet:
     normal_stiffness: float = 1000.0  # [N/m] Assumption
     grip: float = 12.0  # Force ahead at which the card slips in the gripper [N]. Assumption
 
+    @property
+    def mouth(self) -> float:
+        """Distance along the normal, each way, at which the guides take in a card's edge [m]."""
+        return self.face_lead_in[0] + self.face_clearance
+
 
 CARD_AND_SLOT: Final = CardAndSlotSheet()
 CARD_GUIDE: Final = CardGuideSheet()

@@ -90,7 +90,8 @@ class ByForce:
     def __init__(self, start: FloatArray) -> None:
         sheet = CARD_AND_SLOT
         config = GuideConfig(sheet.card_width, sheet.friction, HAND.stiffness, tare=TARE)
-        self.guide = SeatingGuide(config, start, SeatingConfig(CARD_GUIDE.depth, CARD_GUIDE.snap))
+        seating = SeatingConfig(CARD_GUIDE.depth, CARD_GUIDE.snap, CARD_GUIDE.mouth)
+        self.guide = SeatingGuide(config, start, seating)
 
     @property
     def over(self) -> bool:

@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from controllers.insertion.card_arm import inverse, pitch_of, to_plane
 from controllers.insertion.card_inserter import InsertionStage
@@ -19,6 +19,7 @@ from tests.controllers.insertion.kinematic import SLOT, STEER, Slave
 from twin.describe import describe_rover
 from twin.robot import MISSING, ArmMode, Channel, Validity, WheelMode
 
+SEATING = SeatingConfig(0.04, 3.0, 0.0084)
 LEVER = datasheets.ROVER.arm_mount[1]  # Of the arm's base ahead of where the robot turns [m].
 NOTHING_SEEN = Guidance(0.0, False, False, None, np.zeros((6, 6)))
 
@@ -85,7 +86,7 @@ def test_base_tilt_under_the_arm_is_fed_forward():
 def test_a_card_that_comes_askew_before_guides_is_brought_anew(seats):
     """The robot stops so far beside the slot's line that its arm points 5 degrees across it."""
     slave = Slave((0.04, -0.53, 0.0))
-    inserter = slave.inserter(seating=SeatingConfig(0.04, 3.0) if seats else None)
+    inserter = slave.inserter(seating=SEATING if seats else None)
     places = []
 
     def note():
@@ -99,10 +100,25 @@ def test_a_card_that_comes_askew_before_guides_is_brought_anew(seats):
     assert (min(places) < -0.7) == seats
 
 
+@pytest.mark.parametrize(("roll", "goes"), [(8.7, True), (-8.7, True), (9.2, False), (-9.2, False)])
+def test_a_card_that_rolls_beyond_the_guides_mouths_is_not_pushed_past_them(roll, goes):
+    """Its edges, 54 mm from its middle, come 8.2 and 8.6 mm off; the mouths open by 8.4."""
+    slave = Slave((0.01, -0.64, 0.0))
+    place = RigidTransform.from_translation((inverse(slave.robot()) @ SLOT)[:3, 3])
+    rolled = place * RigidTransform.from_exp_coords([0.0, np.radians(roll), 0, 0, 0, 0])
+    error = (rolled * place.inv()).as_exp_coords()
+    inserter = slave.inserter(error, watched=False, seating=SEATING)
+    slave.run(
+        inserter, 40.0, until=lambda: inserter.stage is InsertionStage.INSERT or inserter.over
+    )
+    assert (inserter.stage is InsertionStage.INSERT) == goes
+    assert inserter.reason == ("" if goes else "rolled")
+
+
 @pytest.mark.parametrize("forced", [True, False])
 def test_a_card_goes_into_guides_by_force_or_straight_ahead(forced):
     slave = Slave((0.01, -0.64, 0.0))
-    inserter = slave.inserter(seating=SeatingConfig(0.04, 3.0), forced=forced)
+    inserter = slave.inserter(seating=SEATING, forced=forced)
     slave.run(inserter, 40.0, until=lambda: inserter.stage is InsertionStage.INSERT)
     slave.push[0] = 1.0  # across
     before = slave.error()

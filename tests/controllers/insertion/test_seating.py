@@ -1,5 +1,6 @@
 """What the guide into a connector does with forces: it snaps in, stands square, and gives way."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -9,7 +10,7 @@ from controllers.insertion.guide import GuideConfig, Phase
 from controllers.insertion.seating import SeatingConfig, SeatingGuide, StraightSeating
 
 CONFIG = GuideConfig(0.10795, 0.3, 1981.25)
-BOTTOM = SeatingConfig(bottom=0.04, snap=3.0)
+BOTTOM = SeatingConfig(bottom=0.04, snap=3.0, mouth=0.0084)
 START = np.array([0.0, 0.03, 0.0])
 
 
@@ -72,7 +73,7 @@ def test_a_card_that_stands_on_one_corner_turns_until_it_is_square():
 
 def test_a_card_that_was_drawn_out_of_the_connector_has_to_snap_in_anew():
     # Its moment is within the deadband of what turns it, and too far off for a square card.
-    strict = SeatingConfig(bottom=0.04, snap=3.0, square=0.002)
+    strict = dataclasses.replace(BOTTOM, square=0.002)
     guide, connector = SeatingGuide(CONFIG, START, strict), Connector(snap=5.0, aside=0.004)
     reasons, pushes = set(), []
     while not guide.over:
@@ -136,4 +137,4 @@ def test_straight_ahead_a_card_counts_as_seated_that_is_commanded_to_the_bottom(
 
 def test_settings_out_of_range_are_refused():
     with pytest.raises(ValueError, match="snap"):
-        SeatingConfig(bottom=0.04, snap=-1.0)
+        dataclasses.replace(BOTTOM, snap=-1.0)
