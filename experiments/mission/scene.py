@@ -244,6 +244,6 @@ def _block(
         if math.dist((x, y), CARD_PLACE[:2]) < 0.55:  # noqa: PLR2004
             continue
         block = ScreenConfig((x, y), float(rng.uniform(0.0, 1.5)), BLOCK)
-        off_starts = all(block.distance((x, y)) > START_RADIUS for x, y, _ in poses)
+        off_starts = all(block.distance(tuple(each[:2])) > START_RADIUS for each in poses)
         if off_starts and block.distance(panel.position) > panel.footprint:
             return block

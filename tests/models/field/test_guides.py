@@ -11,6 +11,8 @@ from models.compose import FieldConfig, RobotPlacement, make_model
 from models.datasheets import CARD_AND_SLOT, CARD_GUIDE
 
 MEDIUM = CARD_GUIDE.clearances[1]
+MOST_ROLL = math.asin(CARD_GUIDE.mouth / (CARD_AND_SLOT.card_width / 2.0))
+"""At which a card's edges come to the mouths' edges [rad]."""
 
 
 def insert(model, wrong=(0.0,) * 6, speed=0.005, begin=-0.015, end=0.043, stop=9.0):
@@ -80,6 +82,8 @@ def test_a_groove_leaves_its_clearances(clearance, side):
         ((0, 0, 9e-3, 0, 0, 0), False),
         ((0, 0, 0, 0, math.radians(8.0), 0), True),  # in roll
         ((0, 0, 0, 0, math.radians(9.5), 0), False),
+        ((0, 0, 0, 0, MOST_ROLL - 0.003, 0), True),
+        ((0, 0, 0, 0, MOST_ROLL + 0.003, 0), False),
     ],
 )
 def test_the_mouth_leads_in_what_lies_within_it(wrong, enters):
