@@ -25,7 +25,7 @@ class Options(contract.RepeatedOptions):
     """
 
     learning: Annotated[float, tyro.conf.arg(metavar="S")] = 60.0
-    unchanged: Annotated[float, tyro.conf.arg(metavar="S")] = 240.0
+    unchanged: Annotated[float, tyro.conf.arg(metavar="S")] = 3600.0
     on_boards: Annotated[float, tyro.conf.arg(metavar="S")] = 7200.0
     kills: Annotated[int, tyro.conf.arg(metavar="N")] = 50
     parts: Annotated[tuple[str, ...], contract.some_of(PARTS)] = ()
