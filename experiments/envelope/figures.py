@@ -75,4 +75,5 @@ def _draw_axis(
             panel.errorbar(places, means, errors, fmt="o", color=COLOURS[kind], capsize=3)
     panel.set_xticks(range(len(levels)), [f"{level:g}" for level in levels])
     panel.set(xlim=(-0.3, len(levels) - 0.6), ylim=(-0.05, 1.05))
-    panel.set(xlabel=AXES[name].title, ylabel="seated (95 % interval) [-]")
+    what = "success" if AXES[name].whole else "seated"
+    panel.set(xlabel=AXES[name].title, ylabel=f"{what} (95 % interval) [-]")
