@@ -275,7 +275,7 @@ class DrivePath(ReckonedDrive):
         if not self.blocked and self._is_due(seen):
             self._until_look = round(_LOOK_EVERY / config.period)
             assert self._guard is not None
-            self.blocked = self._guard.warning(seen, self._speed, self._turn)
+            self.blocked = self._guard.warning(seen, self._wheels(self._speed, self._turn))
 
     def _is_due(self, seen: Observation) -> bool:
         """Return whether to look ahead: every now and then on the way, where the tilt is large."""

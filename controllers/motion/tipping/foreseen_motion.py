@@ -108,9 +108,10 @@ class ForeseenMotion:
             path = dataclasses.replace(config.path, start=angles)
             return Plan.of_arm(path.at, config.horizon)
         times = self.time + PERIOD * np.arange(round(config.horizon / PERIOD))
-        speeds, turns = np.array([self._way(each) for each in times]).T
-        now = config.steer.motion(seen.wheel_speeds.value)
-        return Plan.of_drive(angles, speeds, turns, now)
+        wheels = np.array([config.steer.wheel_speeds(*self._way(each))[:2] for each in times])
+        radius, turning = config.steer.wheel_radius, float(seen.gyro.value[2])
+        now = radius * np.reshape(seen.wheel_speeds.value, (2, 2)).mean(axis=0)
+        return Plan.of_drive(angles, radius * wheels, now, turning)
 
     def _way(self, at: float) -> tuple[float, float]:
         """Return speed [m/s] and turning rate [rad/s] at a time."""

@@ -36,8 +36,7 @@ CHANCE = 0.05
 _SLOWER, _SLOWEST = 1.25, 10.0  # Stretch of a motion from one try to the next, and the last.
 _AFTER = 1.0  # Time for which a base swings on after a motion [s].
 _LAG = 0.05  # Time constant with which the wheels follow their commanded speed [s].
-_SCRUBBING = 0.05  # Turning rate from which on tyres slide [rad/s].
-_LEAST_TURN = 0.2  # Least share of a planned turn: a load at one side hinders it.
+_SLIDING = 0.999  # Share of all friction at once from which on a rover slides.
 _LEAST = 0.2  # Least share of a spring or damper that a copy may have.
 _FREE = FrameMotion(np.zeros(3), np.zeros(3), np.zeros(3))
 
@@ -50,15 +49,17 @@ class Plan:
         angles: (n, joints) of the arm [rad].
         rates: (n, joints) [rad/s].
         accelerations: (n, joints) [rad/s^2].
-        speeds: (n,) forward speed [m/s].
-        turns: (n,) turning rate to the left [rad/s].
+        rims: (n, 2) speed of the rims of the left and of the right tyres [m/s].
+        speed: Forward speed of the rover now [m/s].
+        turn: Its turning rate to the left now [rad/s].
     """
 
     angles: FloatArray
     rates: FloatArray
     accelerations: FloatArray
-    speeds: FloatArray
-    turns: FloatArray
+    rims: FloatArray
+    speed: float = 0.0
+    turn: float = 0.0
 
     @classmethod
     def of_arm(
@@ -73,7 +74,7 @@ class Plan:
         count = round(seconds / PERIOD)
         rows = [path(index * PERIOD) for index in range(count)]
         angles, rates, accelerations = (np.array(row) for row in zip(*rows))
-        return cls(angles, rates, accelerations, np.zeros(count), np.zeros(count))
+        return cls(angles, rates, accelerations, np.zeros((count, 2)))
 
     @classmethod
     def of_table(cls, stamps: FloatArray, angles: FloatArray) -> "Plan":
@@ -95,24 +96,20 @@ class Plan:
 
     @classmethod
     def of_drive(
-        cls,
-        angles: FloatArray,
-        speeds: FloatArray,
-        turns: FloatArray,
-        now: tuple[float, float] = (0.0, 0.0),
-    ) -> "Plan":
+        cls, angles: FloatArray, commanded: FloatArray, now: FloatArray | None = None,
+        turn: float = 0.0,
+    ) -> "Plan":  # fmt: skip
         """Return a drive with the arm at rest.
 
         Args:
             angles: (joints,) of the arm [rad].
-            speeds: (n,) commanded forward speed [m/s].
-            turns: (n,) commanded turning rate to the left [rad/s].
-            now: Forward speed [m/s] and turning rate [rad/s] that the rover has.
+            commanded: (n, 2) speed of the rims of the left and of the right tyres [m/s].
+            now: (2,) that they have [m/s]; None for none.
+            turn: Turning rate to the left that the rover has [rad/s].
         """
-        held = np.tile(angles, (len(speeds), 1))
-        rest = np.zeros_like(held)
-        followed = (_followed(*each) for each in zip((speeds, turns), now))
-        return cls(held, rest, rest, *followed)
+        held = np.tile(angles, (len(commanded), 1))
+        rest, begin = np.zeros_like(held), np.zeros(2) if now is None else now
+        return cls(held, rest, rest, _followed(commanded, begin), float(np.mean(begin)), turn)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -239,10 +236,11 @@ class LookAhead:
         copies = self._copies(rng, np.asarray(still.specific_force, dtype=float) / GRAVITY)
         places, forces = rock(self._chassis, copies, self._moving(plan))
         level = np.cos(places[:, :, 1]) * np.cos(places[:, :, 2])
-        tilts = np.arccos(np.clip(np.nan_to_num(level, nan=-1.0), -1.0, 1.0))
+        tilts = np.arccos(level)
         over = np.logical_or.accumulate(tilts > TIPPED, axis=1)
         across = np.linalg.norm(forces[:, :, :2], axis=2)
-        slipping = across > copies.grips[:, None] * forces[:, :, 2]
+        pressed = forces[:, :, 2]
+        slipping = (pressed > 0.0) & (across > _SLIDING * copies.grips[:, None] * pressed)
         strained = self._strained(plan, copies, still)
         touching = self._touching(plan, places) & ~over
         slides = _first(slipping & ~over)
@@ -273,25 +271,16 @@ class LookAhead:
             springs,
             dampers,
             rng.uniform(*self._friction, count),
-            rng.uniform(_LEAST_TURN, 1.0, count),
         )
 
     def _moving(self, plan: Plan) -> Moving:
         """Return a plan as the reduced model takes it."""
-        turning = np.gradient(plan.turns, PERIOD)
-        scrubs = np.sign(plan.turns) * (np.abs(plan.turns) > _SCRUBBING)
-        return Moving(
-            self._about_ground(self._chain, plan, turning),
-            self._about_ground(self._held, plan, turning),
-            np.gradient(plan.speeds, PERIOD),
-            np.cumsum(plan.turns) * PERIOD,
-            scrubs,
-            PERIOD,
-        )
+        arm, load = (self._about_ground(chain, plan) for chain in (self._chain, self._held))
+        return Moving(arm, load, plan.rims, plan.speed, plan.turn, PERIOD)
 
-    def _about_ground(self, chain: SerialChain, plan: Plan, turning: FloatArray) -> FloatArray:
-        """Return (n, 28) inertia and wrenches of a chain, as `Moving` has them."""
-        r, zero = self._mount, np.zeros_like(plan.turns)
+    def _about_ground(self, chain: SerialChain, plan: Plan) -> FloatArray:
+        """Return (n, 34) inertia and wrenches of a chain, as `Moving` has them."""
+        r = self._mount
         inertia = chain.base_inertia(plan.angles)
         mass, crosses, about = inertia[:, 0, 0], inertia[:, 3:, :3], inertia[:, 3:, 3:]
         moment = np.stack([crosses[:, 2, 1], crosses[:, 0, 2], crosses[:, 1, 0]], axis=1)
@@ -300,8 +289,6 @@ class LookAhead:
         about -= moment[:, :, None] * r + r[:, None] * moment[:, None]
         about -= mass[:, None, None] * np.outer(r, r)
         moment = moment + mass[:, None] * r
-        spin, growth = (np.column_stack([zero, zero, each]) for each in (plan.turns, turning))
-        carried = np.cross(growth, r) + np.cross(spin, np.cross(spin, r))
         rest = np.zeros_like(plan.rates)
 
         def wrench(rates: FloatArray, accelerations: FloatArray, base: FrameMotion) -> FloatArray:
@@ -309,9 +296,9 @@ class LookAhead:
             found[:, 3:] += np.cross(r, found[:, :3])
             return found
 
-        wrenches = [wrench(plan.rates, plan.accelerations, FrameMotion(carried, spin, growth))]
+        wrenches = [wrench(plan.rates, plan.accelerations, _FREE)]
         moved = wrench(plan.rates, rest, _FREE)
-        for axis in np.eye(3)[:2]:
+        for axis in np.eye(3):
             tilting = FrameMotion(np.cross(axis, np.cross(axis, r)), axis, np.zeros(3))
             both, alone = wrench(plan.rates, rest, tilting), wrench(rest, rest, tilting)
             wrenches.append(both - alone - moved)
@@ -379,11 +366,11 @@ def _holding(chain: SerialChain, place: FloatArray) -> SerialChain:
     return dataclasses.replace(chain, joints=joints, base=WEIGHTLESS)
 
 
-def _followed(commanded: FloatArray, now: float) -> FloatArray:
-    """Return how the wheels follow a commanded speed (n,), from the one that they have."""
+def _followed(commanded: FloatArray, now: FloatArray) -> FloatArray:
+    """Return how the rims (n, 2) follow commanded speeds, from those that they have."""
     share = PERIOD / (_LAG + PERIOD)
-    kept = [(1.0 - share) * now]
-    return scipy.signal.lfilter([share], [1.0, share - 1.0], commanded, zi=kept)[0]
+    kept = (1.0 - share) * now[None]
+    return scipy.signal.lfilter([share], [1.0, share - 1.0], commanded, axis=0, zi=kept)[0]
 
 
 def _first(happens: NDArray[np.bool_]) -> FloatArray:

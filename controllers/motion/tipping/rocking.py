@@ -1,12 +1,15 @@
 """A rover that may leave the ground with some of its wheels: a reduced model, for many copies.
 
-The arm moves and the wheels drive and turn as planned. What moves by itself is the base on its
-springs: it heaves, pitches and rolls about the lines where its tyres meet the ground, and the rear
-half turns about the centre joint. A spring pushes and never pulls: where it would, the wheel is off
-the ground. The tyres' friction to the side holds the halves against each other, as the joint lies
-above the ground; while the rover turns it pushes them apart.
+The arm moves and the wheels turn as planned. What moves by itself is the base, on its springs and
+on its tyres: it drives, slides, turns, heaves, pitches and rolls about the lines where its tyres
+meet the ground, and the rear half turns about the centre joint. A spring pushes and never pulls:
+where it would, the wheel is off the ground. Each tyre holds its place, or gives way in any
+direction once it has to hold more than its load times its friction. So loads and friction say how
+far a rover turns whose wheels scrub, and whether a half that leans rolls about the joint above the
+ground: it takes tyres to the side with it, or turns the whole rover.
 
-Left out are tyres that sink, ground that is not plane, and squares of the base's own rates.
+Left out are tyres that sink, ground that is not plane, and squares of the base's own rates but for
+those of a curve.
 """
 
 # pyright: reportUnknownMemberType=false, reportUntypedFunctionDecorator=false
@@ -22,8 +25,11 @@ from perception.geometry.gravity import GRAVITY
 STEP = 0.0025
 """Time step [s]: a thirtieth of the fastest swing's period."""
 _SETTLING = 400  # Steps at first in which it comes to rest, with critical damping.
-_STUCK = 300.0  # Stiffness of the halves against each other, while their tyres hold [N m/rad].
-_TURN_SHARE = 0.5  # Turns over those of rolling wheels; as drawn 0.56, and less on slopes.
+_STOP = 300.0  # Stiffness of the centre joint's stops [N m/rad].
+_TYRE = 6e4  # Stiffness of a tyre along the ground [N/m].
+_GIVING = 60.0  # Damping of a tyre along the ground [N s/m].
+_OVER = 1.0  # Pitch or roll from which on a copy lies on its side, and stays so [rad].
+_SIZE = 7  # Degrees of freedom: aside, ahead, up, pitch, roll, heading and centre joint.
 
 
 class Chassis(NamedTuple):
@@ -56,7 +62,6 @@ class Copies(NamedTuple):
         springs: (n, 4) stiffness of the wheels' springs [N/m].
         dampers: (n, 4) their damping [N s/m].
         grips: (n,) Coulomb coefficient of the tyres.
-        turns: (n,) share of a planned turn that comes about where friction allows it.
     """
 
     ups: FloatArray
@@ -68,28 +73,27 @@ class Copies(NamedTuple):
     springs: FloatArray
     dampers: FloatArray
     grips: FloatArray
-    turns: FloatArray
 
 
 class Moving(NamedTuple):
     """What is planned, at equal times; about the point of the ground under the rover's origin.
 
     Attributes:
-        arm: (times, 28) of the arm: mass, first moment (3), inertia xx, yy, zz, xy, xz, yz, the
+        arm: (times, 34) of the arm: mass, first moment (3), inertia xx, yy, zz, xy, xz, yz, the
             wrench (6) that its motion asks for without gravity, and how that grows with the rates
-            of pitch (6) and roll (6).
-        load: (times, 28) likewise of 1 kg in the gripper.
-        ahead: (times,) acceleration of the rover [m/s^2].
-        headings: (times,) how far it has turned to the left [rad].
-        scrubs: (times,) 1 where tyres slide as it turns to the left, -1 to the right, else 0.
+            of pitch (6), roll (6) and heading (6).
+        load: (times, 34) likewise of 1 kg in the gripper.
+        rims: (times, 2) speed of the rims of the left and of the right tyres [m/s].
+        speed: Forward speed of the rover at the beginning [m/s].
+        turn: Its turning rate to the left [rad/s].
         period: Time between two of them [s].
     """
 
     arm: FloatArray
     load: FloatArray
-    ahead: FloatArray
-    headings: FloatArray
-    scrubs: FloatArray
+    rims: FloatArray
+    speed: float
+    turn: float
     period: float
 
 
@@ -102,12 +106,12 @@ def rock(chassis: Chassis, copies: Copies, moving: Moving) -> tuple[FloatArray, 
         moving: The plan.
 
     Returns:
-        (n, times, 4) heave [m], pitch, roll and the centre joint's angle [rad], from a body that
-        stands straight on the ground, and (n, times, 3) the ground's force [N] in the front half's
-        frame.
+        (n, times, 5) heave [m], pitch, roll, heading and the centre joint's angle [rad], from a
+        body that stands straight on the ground, and (n, times, 3) the ground's force on all tyres,
+        aside, ahead and up [N].
     """
-    count, times = len(copies.masses), len(moving.ahead)
-    places, forces = np.empty((count, times, 4)), np.empty((count, times, 3))
+    count, times = len(copies.masses), len(moving.rims)
+    places, forces = np.empty((count, times, 5)), np.empty((count, times, 3))
     _rock(chassis, copies, moving, places, forces)
     return places, forces
 
@@ -118,41 +122,30 @@ def _rock(chassis: Any, copies: Any, moving: Any, places: Any, forces: Any) -> N
     for row in numba.prange(len(copies.masses)):
         # Numba compiles `_advance` anew for each type: an unsigned index, a constant -1.
         k, settle = np.int64(row), np.int64(-1)
-        # Heave, pitch, roll and centre joint, and where the halves are held against each other.
-        state, rates, held = np.zeros(4), np.zeros(4), np.zeros(1)
+        # The first two places are not kept: the ground is alike everywhere.
+        state, rates, given = np.zeros(_SIZE), np.zeros(_SIZE), np.zeros((4, 2))
         for _ in range(_SETTLING):
-            _advance(chassis, copies, k, moving, settle, copies.ups[k], 0.0, state, rates, held)
+            ground = _turned(state, copies.ups[k], 1.0)
+            _advance(chassis, copies, k, moving, settle, ground, state, rates, given)
         # Gravity was known in the front half's frame: now it is in the ground's.
         ground = _turned(state, copies.ups[k], 1.0)
-        turning, aside = _scrubbing(ground, copies.grips[k], copies.turns[k], chassis.wheels)
-        for i in range(len(moving.ahead)):
-            heading = turning * moving.headings[i]
-            c, s = np.cos(heading), np.sin(heading)
+        state[5], rates[1], rates[5] = 0.0, moving.speed, moving.turn
+        for i in range(len(moving.rims)):
+            if max(abs(state[3]), abs(state[4])) > _OVER:
+                places[k, i:], forces[k, i:] = state[2:], 0.0
+                break
+            c, s = np.cos(state[5]), np.sin(state[5])
             force = np.zeros(3)
             up = np.array([c * ground[0] + s * ground[1], c * ground[1] - s * ground[0], ground[2]])
             for _ in range(steps):
-                here = _turned(state, up, -1.0)
-                force = _advance(chassis, copies, k, moving, i, here, aside, state, rates, held)
-            places[k, i], forces[k, i] = state, force
-
-
-@numba.njit(cache=True)
-def _scrubbing(ground: Any, grip: float, share: float, wheels: Any) -> Any:
-    """Return how much of a planned turn comes about, and the share of friction to the side then.
-
-    What a slope takes of the friction is missing to turn. Tyres slide to the side as the rover
-    turns, and ahead or back as its wheels turn faster than that needs.
-    """
-    needed = np.hypot(ground[0], ground[1]) / ground[2] / (_TURN_SHARE * grip)
-    turning = share * np.sqrt(max(0.0, 1.0 - needed**2))
-    x, y = abs(wheels[0, 0]), abs(wheels[0, 1])
-    return turning, y * turning / np.hypot(y * turning, x * (1.0 / _TURN_SHARE - turning))
+                force = _advance(chassis, copies, k, moving, i, up, state, rates, given)
+            places[k, i], forces[k, i] = state[2:], force
 
 
 @numba.njit(cache=True)
 def _turned(state: Any, vector: Any, sense: float) -> Any:
     """Return a vector turned from the front half's frame to the ground's, or back."""
-    a, b = state[1] * sense, state[2] * sense
+    a, b = state[3] * sense, state[4] * sense
     ca, sa, cb, sb = np.cos(a), np.sin(a), np.cos(b), np.sin(b)
     x, y, z = vector
     if sense > 0.0:
@@ -164,77 +157,92 @@ def _turned(state: Any, vector: Any, sense: float) -> Any:
 
 @numba.njit(cache=True)
 def _advance(
-    chassis: Any, copies: Any, k: Any, moving: Any, i: Any, up: Any, aside: float,
-    state: Any, rates: Any, held: Any,
+    chassis: Any, copies: Any, k: Any, moving: Any, i: Any, up: Any, state: Any, rates: Any,
+    given: Any,
 ) -> Any:  # fmt: skip
     """Advance copy k by a step at time i of the plan, -1 to settle; return the ground's force."""
     settling, i = i < 0, max(i, 0)
     arm = copies.arms[k] * moving.arm[i] + copies.loads[k] * moving.load[i]
     base, height = copies.masses[k], chassis.height
-    pull, moved = GRAVITY * up, np.zeros(6)
+    moved = np.zeros(6)
     if not settling:
-        pull = pull + np.array([0.0, moving.ahead[i], 0.0])
-        moved = arm[10:16] + rates[1] * arm[16:22] + rates[2] * arm[22:28]
-    force = (base + arm[0]) * pull + moved[:3]
+        moved = arm[10:16] + rates[3] * arm[16:22] + rates[4] * arm[22:28] + rates[5] * arm[28:34]
+    curve = np.array([-rates[5] * rates[1], rates[5] * rates[0], 0.0])
+    pull = GRAVITY * up + curve
     moment = copies.moments[k] + arm[1:4]
     # The rear half is half of the base; it turns about the joint beside what all do.
-    rear_x, rear_z = 0.5 * copies.moments[k, 0], 0.5 * copies.moments[k, 2]
+    rear_x, rear_z = 0.5 * copies.moments[k, 0], 0.5 * copies.moments[k, 2] - 0.5 * base * height
     matrix = _inertia(copies, k, arm, height)
-    push = np.empty(4)
-    push[0] = -force[2]
-    push[1] = moment[2] * pull[1] - moment[1] * pull[2] - moved[3]
-    push[2] = moment[0] * pull[2] - moment[2] * pull[0] - moved[4]
-    push[3] = rear_x * pull[2] - (rear_z - 0.5 * base * height) * pull[0]
-    borne = np.zeros(2)
+    push = np.empty(_SIZE)
+    push[:3] = -(base + arm[0]) * pull - moved[:3]
+    push[5] = moment[1] * pull[0] - moment[0] * pull[1] - moved[5]
+    pull = _turned(state, pull, -1.0)
+    push[3] = moment[2] * pull[1] - moment[1] * pull[2] - moved[3]
+    push[4] = moment[0] * pull[2] - moment[2] * pull[0] - moved[4]
+    push[6] = rear_x * pull[2] - rear_z * pull[0]
+    total = np.zeros(3)
     for wheel in range(4):
         x, y = chassis.wheels[wheel]
         rear = wheel // 2
+        # As a half turns about the joint, its tyres go aside and down below it.
+        across = x - rear * height * state[6]
+        about = -rear * (x - height * (state[4] + state[6]))
         spring, damper = copies.springs[k, wheel], copies.dampers[k, wheel]
         if settling:
             damper = 2.0 * np.sqrt(0.25 * spring * matrix[0, 0])
-        pressed = chassis.pressed[wheel]
-        pressed -= state[0] + state[1] * y - (state[2] + rear * state[3]) * x
-        rising = rates[0] + rates[1] * y - (rates[2] + rear * rates[3]) * x
-        if pressed <= 0.0:
-            continue
-        normal = max(0.0, spring * pressed - damper * rising)
-        push[0] += normal
-        push[1] += normal * y
-        push[2] -= normal * x
-        push[3] -= normal * x * rear
-        borne[rear] += normal
-    # The joint moves to the side where only one half rolls, and tyres with it.
-    most, apart = copies.grips[k] * min(borne[0], borne[1]) * height, state[3]
-    # What else takes of their friction, weight on a slope and the arm's swing, holds nothing.
-    radius = np.hypot(chassis.wheels[0, 0], chassis.wheels[0, 1])
-    taken = np.hypot(np.hypot(force[0], force[1]), moved[5] / radius)
-    taken /= copies.grips[k] * max(borne[0] + borne[1], 1e-9)
-    most *= np.sqrt(max(0.0, 1.0 - taken**2))
-    if not settling and moving.scrubs[i] != 0.0:
-        held[0] = apart + aside * moving.scrubs[i] * most / _STUCK
-    held[0] = min(max(held[0], apart - most / _STUCK), apart + most / _STUCK)
-    push[3] -= _STUCK * (apart - held[0])
-    push[3] -= _STUCK * np.sign(apart) * max(0.0, abs(apart) - chassis.range)
+        pressed = chassis.pressed[wheel] - state[2] - state[3] * y + state[4] * x
+        pressed += rear * state[6] * (x - height * (state[4] + 0.5 * state[6]))
+        rising = rates[2] + rates[3] * y - rates[4] * across + rates[6] * about
+        normal = max(0.0, spring * pressed - damper * rising) if pressed > 0.0 else 0.0
+        push[2] += normal
+        push[3] += normal * y
+        push[4] -= normal * across
+        push[6] += normal * about
+        aside = rates[0] - rates[5] * y - rear * height * rates[6]
+        ahead = rates[1] + rates[5] * x - (0.0 if settling else moving.rims[i, wheel % 2])
+        fx, fy = _hold(given[wheel], aside, ahead, copies.grips[k] * normal)
+        push[0] += fx
+        push[1] += fy
+        push[5] += x * fy - y * fx
+        push[6] -= rear * height * fx
+        total += np.array([fx, fy, normal])
+    push[6] -= _STOP * np.sign(state[6]) * max(0.0, abs(state[6]) - chassis.range)
     _solve(matrix, push)
-    for row in range(4):
+    for row in range(_SIZE):
         rates[row] += STEP * push[row]
         state[row] += STEP * rates[row]
-    return force
+    return total
+
+
+@numba.njit(cache=True)
+def _hold(given: Any, aside: float, ahead: float, most: float) -> Any:
+    """Return the force of a tyre (2,) against its slip, and write how far it has given way."""
+    given[0] += STEP * aside
+    given[1] += STEP * ahead
+    fx, fy = -_TYRE * given[0] - _GIVING * aside, -_TYRE * given[1] - _GIVING * ahead
+    asked = np.hypot(fx, fy)
+    if asked > most:
+        fx, fy = fx * most / asked, fy * most / asked
+        given[0], given[1] = -fx / _TYRE, -fy / _TYRE
+    return fx, fy
 
 
 @numba.njit(cache=True)
 def _inertia(copies: Any, k: int, arm: Any, height: float) -> Any:
-    """Return the mass matrix (4, 4)."""
+    """Return the mass matrix (7, 7)."""
     base, moment, spin = copies.masses[k], copies.moments[k], copies.inertias[k]
-    matrix = np.zeros((4, 4))
-    matrix[0, 0] = base + arm[0]
-    matrix[0, 1], matrix[0, 2] = moment[1] + arm[2], -moment[0] - arm[1]
-    matrix[0, 3] = -0.5 * moment[0]
-    matrix[1, 1], matrix[1, 2] = spin[0] + arm[4], arm[7]
-    matrix[2, 2] = spin[1] + arm[5]
-    matrix[2, 3] = 0.5 * (spin[1] - height * moment[2])
-    matrix[3, 3] = 0.5 * (spin[1] - 2.0 * height * moment[2] + base * height**2)
-    for row in range(4):
+    x, y, z = moment + arm[1:4]
+    matrix = np.zeros((_SIZE, _SIZE))
+    matrix[0, 0] = matrix[1, 1] = matrix[2, 2] = base + arm[0]
+    matrix[0, 4], matrix[0, 5], matrix[1, 3] = z, -y, -z
+    matrix[1, 5], matrix[2, 3], matrix[2, 4] = x, y, -x
+    matrix[3, 3], matrix[4, 4], matrix[5, 5] = spin[0] + arm[4], spin[1] + arm[5], spin[2] + arm[6]
+    matrix[3, 4], matrix[3, 5], matrix[4, 5] = arm[7], arm[8], arm[9]
+    matrix[0, 6] = 0.5 * (moment[2] - base * height)
+    matrix[2, 6] = -0.5 * moment[0]
+    matrix[4, 6] = 0.5 * (spin[1] - height * moment[2])
+    matrix[6, 6] = 0.5 * (spin[1] - 2.0 * height * moment[2] + base * height**2)
+    for row in range(_SIZE):
         for column in range(row):
             matrix[row, column] = matrix[column, row]
     return matrix
@@ -242,17 +250,18 @@ def _inertia(copies: Any, k: int, arm: Any, height: float) -> Any:
 
 @numba.njit(cache=True)
 def _solve(matrix: Any, right: Any) -> None:
-    """Write the solution over the right side (4,); the matrix is symmetric and positive definite.
+    """Write the solution over the right side (n,); the matrix is symmetric and positive definite.
 
     By hand: a call of LAPACK takes ten times as long.
     """
-    for pivot in range(4):
-        for row in range(pivot + 1, 4):
+    size = len(right)
+    for pivot in range(size):
+        for row in range(pivot + 1, size):
             share = matrix[row, pivot] / matrix[pivot, pivot]
-            for column in range(pivot, 4):
+            for column in range(pivot, size):
                 matrix[row, column] -= share * matrix[pivot, column]
             right[row] -= share * right[pivot]
-    for row in range(3, -1, -1):
-        for column in range(row + 1, 4):
+    for row in range(size - 1, -1, -1):
+        for column in range(row + 1, size):
             right[row] -= matrix[row, column] * right[column]
         right[row] /= matrix[row, row]

@@ -12,6 +12,7 @@ from controllers.kinematics.rigid_motion import FrameMotion
 from controllers.motion.base_motion import level_of
 from controllers.motion.tipping.look_ahead import PERIOD, LookAhead, Plan, slow
 from controllers.motion.tipping.tip_over import Footing, Guarded, Sweep, guard
+from perception.geometry.arrays import FloatArray
 from twin.description import RobotDescription
 from twin.robot import Observation
 
@@ -39,6 +40,7 @@ class TipGuard:
 
     def __init__(self, robot: RobotDescription, seed: int = 0) -> None:
         self._ahead, self._seed = LookAhead(robot), seed
+        self._radius = robot.wheel_radius
         self.footing = Footing.of(robot)
 
     def allowed(self, sweep: Sweep, still: FrameMotion) -> Guarded:
@@ -57,18 +59,20 @@ class TipGuard:
         slower = slow(self._ahead, found.sweep, self._rng(), still)
         return slower if slower.report else found
 
-    def warning(self, seen: Observation, speed: float, turn: float) -> str:
+    def warning(self, seen: Observation, wheels: FloatArray) -> str:
         """Return what a drive is likely to do to the rover within `HORIZON`; empty if nothing.
 
         Args:
-            seen: Observation of the rover, with its arm's angles and its tilt.
-            speed: Forward speed with which it goes on [m/s].
-            turn: Turning rate to the left, likewise [rad/s].
+            seen: Observation of the rover, with its arm's angles, its tilt and its gyro; without
+                that it is taken not to turn yet.
+            wheels: (4,) speeds at which its wheels turn and go on [rad/s], in the order of
+                `WHEELS`.
         """
-        count = round(HORIZON / PERIOD)
         angles = np.asarray(seen.arm_angles.value, dtype=float)
-        ways = np.full(count, speed), np.full(count, turn)
-        plan = Plan.of_drive(angles, *ways, now=(speed, turn))
+        rims = self._radius * wheels[:2]
+        turn = float(seen.gyro.value[2]) if seen.gyro.usable else 0.0
+        commanded = np.tile(rims, (round(HORIZON / PERIOD), 1))
+        plan = Plan.of_drive(angles, commanded, rims, turn)
         chance = self._ahead.outlook(plan, self._rng(), level_of(seen)).tip()
         return f"tips over within {HORIZON:g} s with {chance:.0%}" if chance > LIKELY else ""
 

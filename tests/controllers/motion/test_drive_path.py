@@ -359,8 +359,9 @@ class WarningGuard:
     def __init__(self, since: int) -> None:
         self.since, self.asked = since, []
 
-    def warning(self, seen, speed: float, turn: float) -> str:
+    def warning(self, seen, wheels: np.ndarray) -> str:
         self.asked.append(round(seen.time / PERIOD))
+        speed, turn = STEER.motion(wheels)
         assert abs(speed) <= CONFIG.speed and turn == 0.0
         return "tips over" if speed > 0.0 and self.asked[-1] >= self.since else ""
 

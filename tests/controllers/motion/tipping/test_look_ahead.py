@@ -25,7 +25,7 @@ SURE = Doubt(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def resting(angles, seconds=1.0):
-    return Plan.of_drive(np.asarray(angles), *np.zeros((2, round(seconds / PERIOD))))
+    return Plan.of_drive(np.asarray(angles), np.zeros((round(seconds / PERIOD), 2)))
 
 
 def sideways(angle):
@@ -34,7 +34,7 @@ def sideways(angle):
 
 
 def rocked(ahead, plan, still):
-    """Heave, pitch, roll and centre joint (copies, times, 4)."""
+    """Heave, pitch, roll, heading and centre joint (copies, times, 5)."""
     copies = ahead._copies(np.random.default_rng(0), still.specific_force / GRAVITY)
     return rock(ahead._chassis, copies, ahead._moving(plan))[0]
 
@@ -87,8 +87,8 @@ def loaded(load):
     [
         ([0.0, -0.7, 1.2, 0.0], 0.5, 0.3, 1.5, 0.05),
         # To the side, slowly: the halves stay together, as tyres do not slide.
-        ([0.6, 0.3, 1.3, 0.0], 2.5, 0.3, 2.5, 0.2),
-        # Wheels lift; later the arm's swing turns the rover, which the reduced model leaves out.
+        ([0.6, 0.3, 1.3, 0.0], 2.5, 0.3, 2.5, 0.25),
+        # Wheels lift.
         ([1.8, 0.2, 1.4, -0.2], 0.7, 0.34, 0.5, 0.7),
     ],
     ids=["ahead", "slowly aside", "wheels lift"],
@@ -98,7 +98,7 @@ def test_a_rover_rocks_as_mujocos_does(change, seconds, load, within, error):
     plan = Plan.of_arm(Sweep(HOME, HOME + change, seconds).at, within)
     expected = np.degrees(mujocos(rover, load, plan))
     ahead = LookAhead(rover, friction=(FRICTION, FRICTION), doubt=SURE, copies=1)
-    found = np.degrees(rocked(ahead, plan, at_rest())[0, :, 1:])
+    found = np.degrees(rocked(ahead, plan, at_rest())[0][:, [1, 2, 4]])
     np.testing.assert_allclose(found, expected, atol=error)
     assert np.ptp(expected, axis=0).max() > 0.3  # noqa: PLR2004
 
@@ -138,7 +138,8 @@ def test_at_rest_it_tips_where_the_centre_of_mass_leaves_the_wheels():
         centres.append(origin + rotation @ joint.body.centre)
     centre = np.average(centres, axis=0, weights=masses) + [0.0, 0.0, rover.centre_height]
     edge = math.atan2(rover.half_track - centre[0], centre[2])
-    ahead = LookAhead(rover, doubt=SURE, copies=1, centre_range=0.0)
+    # Tyres that do not slide before.
+    ahead = LookAhead(rover, friction=(3.0, 3.0), doubt=SURE, copies=1, centre_range=0.0)
     for angle, over in ((edge - 0.06, False), (edge + 0.02, True)):
         found = ahead.outlook(resting(HOME, 4.0), np.random.default_rng(0), sideways(angle))
         assert np.isfinite(found.tips[0]) == over, np.degrees(angle)
@@ -204,15 +205,15 @@ def test_chances_grow_with_what_is_not_known():
 
 
 def test_a_drive_goes_on_from_the_speed_that_the_rover_has():
-    lag, speed, turn = 0.05, 0.2, -0.4
-    commanded = np.tile([[speed], [turn]], (1, 40))
-    held = Plan.of_drive(HOME, *commanded, (speed, turn))
-    np.testing.assert_allclose([held.speeds, held.turns], commanded, rtol=1e-12)
+    lag, rims = 0.05, np.array([0.3, 0.1])
+    commanded = np.tile(rims, (40, 1))
+    held = Plan.of_drive(HOME, commanded, rims, -0.4)
+    np.testing.assert_allclose(held.rims, commanded, rtol=1e-12)
+    assert (held.speed, held.turn) == (pytest.approx(0.2), -0.4)
     # A first-order lag, taken backward in time.
-    left = (lag / (lag + PERIOD)) ** np.arange(1, 41)
-    slower = Plan.of_drive(HOME, *commanded, (-speed, 0.0))
-    np.testing.assert_allclose(slower.speeds, speed * (1.0 - 2.0 * left), atol=1e-12)
-    np.testing.assert_allclose(slower.turns, turn * (1.0 - left), atol=1e-12)
+    left = (lag / (lag + PERIOD)) ** np.arange(1, 41)[:, None]
+    slower = Plan.of_drive(HOME, commanded, -rims)
+    np.testing.assert_allclose(slower.rims, rims * (1.0 - 2.0 * left), atol=1e-12)
 
 
 def test_a_swing_is_slowed_until_it_hardly_tips_the_rover_over():
@@ -239,3 +240,50 @@ def test_what_cannot_be_is_refused():
         LookAhead(dataclasses.replace(DRAWN, wheels=DRAWN.wheels[:3]))
     with pytest.raises(ValueError, match=r"doubt spring = -0.1: expected 0 or a positive number"):
         Doubt(spring=-0.1)
+
+
+@pytest.mark.parametrize(
+    ("slope", "posture", "load", "rims", "turns"),
+    [
+        (0.0, HOME, 1e-6, (-0.1, 0.1), True),
+        (0.0, HOME, 1e-6, (0.15, 0.05), True),
+        (math.radians(8.0), HOME, 0.3, (-0.1, 0.1), True),
+        # With its arm aside and back the tyres there bear most, and the rover hardly turns.
+        (math.radians(4.5), [-1.96, 0.8, -0.85, -0.26], 0.23, (0.16, -0.16), False),
+    ],
+    ids=["in place", "curve", "slope", "arm aside"],
+)
+def test_a_rover_turns_and_slides_as_mujocos_does(slope, posture, load, rims, turns):
+    rover, seconds = loaded(load), 1.5
+    plan = Plan.of_drive(np.asarray(posture), np.tile(rims, (round(seconds / PERIOD), 1)))
+    expected = driven(rover, load, plan, slope)
+    ahead = LookAhead(rover, friction=(FRICTION, FRICTION), doubt=SURE, copies=1)
+    found = rocked(ahead, plan, sideways(slope))[0, -1, 3]
+    assert found == pytest.approx(expected, rel=0.15, abs=0.02)
+    assert (abs(expected) > 0.1) == turns  # noqa: PLR2004
+
+
+def driven(rover, load, plan, slope):
+    """How far MuJoCo's rover as drawn has turned after a drive [rad]."""
+    field = FieldConfig(texture_pixels=16, friction=FRICTION, slope=(-slope, 0.0))
+    scene = build_scene(field, [with_load(load)])
+    for each in list(scene.actuators) + list(scene.keys):
+        scene.delete(each)
+    for name in rover.axes:
+        servo = scene.add_actuator(name=name, target=f"{ROBOT}/{name}_joint")
+        servo.trntype = mujoco.mjtTrn.mjTRN_JOINT
+        if name in rover.wheel_names:
+            servo.set_to_velocity(kv=50.0)
+        else:
+            servo.set_to_position(kp=KP, kv=KV)
+    scene.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    model = scene.compile()
+    data = mujoco.MjData(model)
+    arm = [model.joint(f"{ROBOT}/{name}_joint").qposadr[0] for name in rover.joint_names]
+    data.qpos[arm] = data.ctrl[4:] = plan.angles[0]
+    mujoco.mj_step(model, data, round(1.5 / model.opt.timestep))
+    for left, right in plan.rims:
+        data.ctrl[:4] = np.array([left, right, left, right]) / rover.wheel_radius
+        mujoco.mj_step(model, data, round(PERIOD / model.opt.timestep))
+    axes = data.xmat[model.body(f"{ROBOT}/chassis").id].reshape(3, 3)
+    return math.atan2(-axes[0, 1], axes[1, 1])

@@ -49,7 +49,7 @@ def test_a_drive_is_warned_of_that_holds_a_load_over_the_lower_wheels(posture, o
     assert tips_in_mujoco(load, posture, slope) == over
     seen = seen_at(0.0, arm_angles=posture)
     tilt = seen.inclinometer._replace(value=np.array([0.0, slope]))
-    found = TipGuard(loaded(load)).warning(seen._replace(inclinometer=tilt), 0.1, 0.0)
+    found = TipGuard(loaded(load)).warning(seen._replace(inclinometer=tilt), np.full(4, 2.0))
     assert found.startswith("tips over within 2 s with ") == over
     assert bool(found) == over
 
