@@ -60,7 +60,7 @@ def test_what_is_foreseen_does_not_change_what_comes(monkeypatch):
     assert not blind.foretold
     assert blind.tipped == seen.tipped < WITHIN
     (plan,) = asked
-    assert len(plan.speeds) == round(WITHIN / 0.01)
+    assert len(plan.rims) == round(WITHIN / 0.01)
 
 
 def test_a_drive_is_looked_at_every_half_second():
