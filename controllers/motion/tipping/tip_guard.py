@@ -2,8 +2,8 @@
 
 The zero-moment point knows neither springs nor the free centre joint: with the arm over the lower
 wheels across a slope of 28 degrees it is 5 cm inside the footprint of a rover that is likely to tip
-over. So a move that it allows is also looked at ahead, which takes 0.1 s while the rover stands,
-and 2 s where it is slowed further and further and then refused.
+over. So a move that it allows is also looked at ahead, which takes 0.2 s while the rover stands,
+and as often again where it is slowed further and further and then refused.
 """
 
 import numpy as np

@@ -253,7 +253,7 @@ def test_what_cannot_be_is_refused():
     ],
     ids=["in place", "curve", "slope", "arm aside"],
 )
-def test_a_rover_turns_and_slides_as_mujocos_does(slope, posture, load, rims, turns):
+def test_a_rover_turns_as_mujocos_does(slope, posture, load, rims, turns):
     rover, seconds = loaded(load), 1.5
     plan = Plan.of_drive(np.asarray(posture), np.tile(rims, (round(seconds / PERIOD), 1)))
     expected = driven(rover, load, plan, slope)
