@@ -27,7 +27,7 @@ from experiments.living.missions import (
     measure_missions,
     run_living_mission,
 )
-from experiments.living.trial import LivingTrial, Watched, watch
+from experiments.living.trial import LivingTrial, Told, Watched, watch
 
 CELLS = (
     ("load base", 1.0), ("load base", 2.0),
@@ -42,9 +42,10 @@ CELLS = (
     ("zero tilt", 0.017), ("zero tilt", 0.035),
     ("blocked wheel", 1.0), ("blocked joint", 1.0),
     ("stuck wheel", 1.0), ("stuck joint", 1.0),
-    ("loose camera", 0.017), ("loose camera", 0.035),
 )  # fmt: skip
 """What happens, with its size as of `happenings.happen`; of parts one is chosen at random."""
+LOOSE = (("loose camera", 0.017), ("loose camera", 0.035))
+"""What happens to rovers with images."""
 QUICK = (("load gripper", 0.2),)
 QUICK_PARTS = ("changes", "ahead")
 SECONDS = 12.0, 8.0, 2.0  # Of a quick run: learning, and unchanged, also on boards [s].
@@ -91,12 +92,14 @@ def _changes(options: Options, output: Output) -> None:
     learning, unchanged, _ = _seconds(options)
     cells = QUICK if options.quick else CELLS
     seeds = options.job_seeds(30, 1)
-    trials = [LivingTrial(seed, name, size, learning) for name, size in cells for seed in seeds]
-    trials += [LivingTrial(seed, "", 0.0, learning, unchanged) for seed in seeds]
+    together = [cells, *([] if options.quick else [(each,) for each in LOOSE])]
+    trials = [LivingTrial(seed, each, learning) for each in together for seed in seeds]
+    trials += [LivingTrial(seed, (), learning, unchanged) for seed in seeds]
     results = sweep(watch, trials, options, output, label="rovers")
     shares = _measure(trials, results, output)
-    _measure_alarms(results, output)
-    output.table("watched", *_table(trials, results))
+    _measure_alarms([each for each in results if not each.told], output)
+    output.table("rovers", *_rovers(trials, results))
+    output.table("changes", *_changed(trials, results))
     output.figure("changes", _figure(shares))
 
 
@@ -230,10 +233,10 @@ def _measure(
     trials: Sequence[LivingTrial], results: Sequence[Watched], output: Output
 ) -> dict[str, tuple[dict[str, float | int], list[float]]]:
     """Measure the changes; return by cell the share that is named right, and the delays."""
-    cells: dict[str, list[Watched]] = {}
+    cells: dict[str, list[Told]] = {}
     for trial, result in zip(trials, results, strict=True):
-        if trial.happening:
-            cells.setdefault(f"{trial.happening} {trial.size:g}", []).append(result)
+        for (name, size), told in zip(trial.happenings, result.told, strict=True):
+            cells.setdefault(f"{name} {size:g}", []).append(told)
     found: dict[str, tuple[dict[str, float | int], list[float]]] = {}
     for name, each in cells.items():
         share = success_fraction(result.right for result in each)
@@ -261,7 +264,7 @@ def _measure(
     return found
 
 
-def _measure_suspected(changed: Sequence[Watched], output: Output) -> None:
+def _measure_suspected(changed: Sequence[Told], output: Output) -> None:
     """Measure what innovations say as far as they are linear in a change, before it is tried out.
 
     Beside it stands what was named of the same changes.
@@ -285,12 +288,12 @@ def _measure_suspected(changed: Sequence[Watched], output: Output) -> None:
             output.measure(f"covered_{key}", success_fraction(sizes))
 
 
-def _covered(result: Watched) -> bool:
+def _covered(result: Told) -> bool:
     return abs(result.found_size - result.size) <= WITHIN * result.sigma
 
 
 def _measure_alarms(results: Sequence[Watched], output: Output) -> None:
-    """Count what was named before anything happened, with the interval of a Poisson count."""
+    """Count what was named of unchanged rovers, with the interval of a Poisson count."""
     count = sum(len(each.alarms) for each in results)
     hours = sum(each.seconds for each in results) / 3600.0
     tail = (1.0 - CONFIDENCE) / 2.0
@@ -313,22 +316,37 @@ def _measure_alarms(results: Sequence[Watched], output: Output) -> None:
         )  # fmt: skip
 
 
-def _table(
+def _rovers(
+    trials: Sequence[LivingTrial], results: Sequence[Watched]
+) -> tuple[list[str], list[list[object]]]:
+    columns = [
+        "seed", "things that happened", "watched before [s]", "named before", "surprise",
+        "prediction nees",
+    ]  # fmt: skip
+    rows: list[list[object]] = [
+        [
+            trial.seed, len(each.told), each.seconds, "; ".join(each.alarms), each.surprise,
+            each.nees,
+        ]
+        for trial, each in zip(trials, results, strict=True)
+    ]  # fmt: skip
+    return columns, rows
+
+
+def _changed(
     trials: Sequence[LivingTrial], results: Sequence[Watched]
 ) -> tuple[list[str], list[list[object]]]:
     columns = [
         "seed", "happening", "size", "true size", "delay [s]", "named", "named size", "sigma",
-        "suspected", "suspected size", "suspected sigma", "named before",
-        "watched before [s]", "surprise", "prediction nees",
+        "suspected", "suspected size", "suspected sigma",
     ]  # fmt: skip
     rows: list[list[object]] = [
         [
-            trial.seed, each.name, trial.size, each.size, each.delay, each.found, each.found_size,
-            each.sigma, each.suspected, each.suspected_size, each.suspected_sigma,
-            "; ".join(each.alarms), each.seconds, each.surprise,
-            each.nees,
+            trial.seed, told.name, size, told.size, told.delay, told.found, told.found_size,
+            told.sigma, told.suspected, told.suspected_size, told.suspected_sigma,
         ]
         for trial, each in zip(trials, results, strict=True)
+        for (_, size), told in zip(trial.happenings, each.told, strict=True)
     ]  # fmt: skip
     return columns, rows
 

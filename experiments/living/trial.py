@@ -1,6 +1,7 @@
 """One rover at work, its twin, and what happens to it."""
 
 import dataclasses
+import functools
 import math
 
 import numpy as np
@@ -9,6 +10,7 @@ from controllers.motion.simple_motions import Work
 from controllers.sensing.diagnosis import Finding
 from controllers.sensing.loose_camera import LOOSE_CAMERA
 from experiments.live.twin_beside import Named, TwinBeside
+from experiments.living.branches import branches
 from experiments.living.happenings import happen
 from models.compose import RobotPlacement
 from models.configuration import FieldConfig
@@ -36,26 +38,26 @@ class LivingTrial:
 
     Attributes:
         seed: Random seed of robot, sensors, motion, and of what happens where and when.
-        happening: What happens: name and size as of `happenings.happen`; the part may be one of
-            several, as ``spring *``. Empty for nothing.
-        size: Its size.
+        happenings: What happens, each to the same rover at the same time: name and size as of
+            `happenings.happen`; the part may be one of several, as ``spring *``. A camera comes
+            loose as the only one, as its rover has images.
         learning: Time for which the twin only learns [s].
-        unchanged: Time for which the rover works where nothing happens, beside that [s].
+        unchanged: Time for which the rover works where nothing happens, beside that [s]; 0 for a
+            random one of 5 s at most.
     """
 
     seed: int
-    happening: str
-    size: float
+    happenings: tuple[tuple[str, float], ...]
     learning: float
     unchanged: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Watched:
-    """What a twin named.
+class Told:
+    """What a twin named after something happened.
 
     Attributes:
-        name: What happened, with its part; empty for nothing.
+        name: What happened, with its part.
         size: Its true size as the twin counts it.
         delay: Time until a change was named [s]; NaN if none was.
         found: Name of that change; empty for none.
@@ -65,11 +67,6 @@ class Watched:
             tried out; empty if nothing was, or it was found otherwise.
         suspected_size: Its size.
         suspected_sigma: Standard deviation of that.
-        alarms: Changes that were named before anything happened.
-        seconds: Time for which it was watched before that [s].
-        surprise: Root mean square of the innovations over their deviations, in that time.
-        nees: Squared errors of its predictions over their bands, in that time, of which the mean
-            over readings and predictions; NaN without any.
     """
 
     name: str
@@ -81,10 +78,6 @@ class Watched:
     suspected: str
     suspected_size: float
     suspected_sigma: float
-    alarms: tuple[str, ...]
-    seconds: float
-    surprise: float
-    nees: float
 
     @property
     def right(self) -> bool:
@@ -97,6 +90,26 @@ class Watched:
         return self.name.startswith(("stuck", "blocked"))
 
 
+@dataclasses.dataclass(frozen=True)
+class Watched:
+    """What a twin told of one rover.
+
+    Attributes:
+        told: What it told of each happening.
+        alarms: Changes that were named before anything happened.
+        seconds: Time for which it was watched before that [s].
+        surprise: Root mean square of the innovations over their deviations, in that time.
+        nees: Squared errors of its predictions over their bands, in that time, of which the mean
+            over readings and predictions; NaN without any.
+    """
+
+    told: tuple[Told, ...]
+    alarms: tuple[str, ...]
+    seconds: float
+    surprise: float
+    nees: float
+
+
 class _Beside(LoopRecorder):
     def __init__(self, twin: TwinBeside) -> None:
         self._twin = twin
@@ -106,36 +119,45 @@ class _Beside(LoopRecorder):
 
 
 def watch(trial: LivingTrial) -> Watched:
-    """Let one rover work, and something happen to it, beside its twin."""
+    """Let one rover work beside its twin, and things happen to it."""
     rng = np.random.default_rng([trial.seed, 1])
     placed = RobotPlacement(ROBOT)
     twin = TwinBeside(placed, trial.learning, threads=1)
     # Images are drawn where they tell something only.
-    stereo = StereoConfig(PAIRS) if trial.happening == LOOSE_CAMERA else None
+    loose = any(name == LOOSE_CAMERA for name, _ in trial.happenings)
+    stereo = StereoConfig(PAIRS) if loose else None
     with connect(
         "sim", robots=[placed], field=FIELD, realism="default", stereo=stereo, seed=trial.seed
     ) as connection:
         work = Work(twin.drawn, np.random.default_rng([trial.seed, 2]))
         before = trial.unchanged or float(rng.uniform(0.0, WITHIN))
         _run(connection, work, twin, trial.learning + before)
-        early, alarms = len(twin.named), tuple(each.finding.name for each in twin.named)
-        surprise, nees = _surprise(twin), twin.foresight.nees
-        foreseen = float(np.mean(nees)) if nees else math.nan
-        name, size = _part(trial.happening, twin, rng), 0.0
-        if name:
+        alarms = tuple(each.finding.name for each in twin.named)
+        nees = twin.foresight.nees
+        foreseen, surprise = float(np.mean(nees)) if nees else math.nan, _surprise(twin)
+
+        def told(name: str, size: float) -> Told:
             assert connection.simulation is not None
-            drawn = twin.shadow.model
-            size = happen(connection.simulation, drawn, ROBOT, name, trial.size)
-            _run(connection, work, twin, PATIENCE, early)
+            name, happened = _part(name, twin, rng), trial.learning + before
+            size = happen(connection.simulation, twin.shadow.model, ROBOT, name, size)
+            _run(connection, work, twin, PATIENCE, len(alarms))
+            return _told(twin, name, size, happened, len(alarms))
+
+        ways = [functools.partial(told, *each) for each in trial.happenings]
+        # What comes before is the same for all.
+        found = branches(ways) if len(ways) > 1 else [way() for way in ways]
     twin.close()
-    happened = trial.learning + before
+    return Watched(tuple(found), alarms, before, surprise, foreseen)
+
+
+def _told(twin: TwinBeside, name: str, size: float, happened: float, early: int) -> Told:
+    """Return what was named first of something that happened [s], after earlier alarms."""
     named = twin.named[early] if len(twin.named) > early else _NOTHING
     suspected = next((each for each in twin.suspected if each.time > happened), _NOTHING)
     found, first = named.finding, suspected.finding
-    return Watched(
+    return Told(
         name, size, named.time - happened,
         found.name, found.size, found.sigma, first.name, first.size, first.sigma,
-        alarms, before, surprise, foreseen,
     )  # fmt: skip
 
 

@@ -88,7 +88,7 @@ class ShadowConfig:
 
     Attributes:
         noise: What the model does not know.
-        threads: Count of threads that share the models.
+        threads: Count of threads that share the models; one is the caller's own.
         even: Whether the ground is even, level or not, so that what tilts or twists the rover is
             its own.
     """
@@ -149,7 +149,7 @@ class Shadow:
             for i, each in enumerate(self.deviations)
             if each.blocked
         ]
-        self._pool: Any = Rollout(nthread=threads)
+        self._pool: Any = Rollout(nthread=threads if threads > 1 else 0)
         self._data = [mujoco.MjData(model) for _ in range(threads)]
         size = mujoco.mj_stateSize(model, STATE)
         self._states: FloatArray = np.eye(size)[4:5]
