@@ -11,8 +11,10 @@ from controllers.sensing.diagnosis import UNKNOWN, Finding
 from controllers.sensing.foresight import Foresight
 from controllers.sensing.jumps import ZeroJumps
 from controllers.sensing.loose_camera import LooseCamera
+from controllers.sensing.tilt_zeros import TiltZeros
 from controllers.sensing.trial import Trial
 from models.compose import RobotPlacement
+from models.datasheets import INCLINOMETER
 from perception.geometry.arrays import FloatArray
 from twin.connect import ConnectionSettings
 from twin.describe import describe_rover
@@ -26,6 +28,8 @@ AHEAD = 1.0
 """How far the twin predicts [s], once in that time."""
 LOOKING = 0.99
 """Time after a pair of images from which on the next one is looked at [s]."""
+TILTS = "zero pitch", "zero roll"
+"""Zeros of the inclinometer, by name; the accelerometer tells them."""
 PATCHES = 0.25
 """How far friction below a wheel wanders on rough ground, as a share of the drawing's."""
 
@@ -136,10 +140,15 @@ class TwinBeside:
              for each, fixed in zip(self.deviations, wander)]
         )  # fmt: skip
         self._by_name = {each.name: each for each in self._changes}
-        self._detector = ChangeDetector(spreads, self._changes, self._config, walks)
+        felt = [each for each in self._changes if each.name not in TILTS]
+        self._detector = ChangeDetector(spreads, felt, self._config, walks)
         noise, at = self.shadow.noise, self.shadow.channels
-        angle, rate = (float(noise[at[name]].max()) for name in ("arm_angles", "arm_rates"))
+        angle, rate, force = (
+            float(noise[at[name]].max()) for name in ("arm_angles", "arm_rates", "accelerometer")
+        )
         self._jumps = ZeroJumps(angle, rate)
+        self._tilts = TiltZeros(INCLINOMETER.bandwidth, INCLINOMETER.linear_range, force)
+        self._tilted = -math.inf
         self._eyes = LooseCamera(self.drawn.head.camera) if self.drawn.head else None
         self._looked = -math.inf
         self._trial: Trial | None = None
@@ -180,6 +189,7 @@ class TwinBeside:
             self._detector.pause()
             self._end_trial()
             self._jumps.reset()
+            self._tilts.reset()
             self._squares.clear()
             self._pause()
             return
@@ -189,7 +199,7 @@ class TwinBeside:
         time = self._begin + innovation.time
         if len(self._squares) == self._config.block:
             self._end_block(time)
-        found = self._jump(tick) or self._look(innovation, kind)
+        found = self._jump(tick) or self._drift(tick) or self._look(innovation, kind)
         if found is not None:
             self._end_trial()
             self._name(found, time)
@@ -207,6 +217,19 @@ class TwinBeside:
             return None
         name = f"zero {self.drawn.joint_names[jump.joint]}"
         return Finding(name, jump.size, jump.sigma, abs(jump.size) / jump.sigma)
+
+    def _drift(self, tick: RoverTick) -> Finding | None:
+        """Return the zero of the inclinometer that drifted."""
+        tilt, force = tick.seen.inclinometer, tick.seen.accelerometer
+        if not (tilt.usable and force.usable):
+            self._tilts.reset()
+            return None
+        new, self._tilted = tilt.stamp > self._tilted, tilt.stamp
+        shown = np.array(tilt.value, dtype=float) if new else None
+        drift = self._tilts.step(shown, np.array(force.value, dtype=float))
+        if drift is None:
+            return None
+        return Finding(TILTS[drift.axis], drift.size, drift.sigma, abs(drift.size) / drift.sigma)
 
     def _look_at(self, tick: RoverTick) -> Finding | None:
         """Return a camera that came loose, if there are images."""

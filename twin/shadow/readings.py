@@ -5,7 +5,7 @@ import numpy as np
 
 from models.datasheets import INCLINOMETER
 from perception.geometry.arrays import FloatArray
-from perception.geometry.gravity import GRAVITY
+from perception.geometry.gravity import apparent_tilt
 from twin.description import RobotDescription
 from twin.robot import Channel, Observation, Validity
 from twin.sensors import DATASHEET, channel_widths
@@ -15,7 +15,6 @@ CHANNELS = (
     "accelerometer", "gyro",
 )  # fmt: skip
 """Channels that a shadow compares: all but images and the heading, which nothing else tells."""
-_MOST = float(np.sin(INCLINOMETER.linear_range))
 
 
 class Readings:
@@ -77,7 +76,8 @@ class Readings:
         positions, rates = states[:, 1 : self._positions], states[:, self._positions :]
         felt = sensed[:, :, self.forces]
         for step in range(felt.shape[1]):
-            tilts += (1.0 - self._keep) * (apparent_tilt(felt[:, step, 6:]) - tilts)
+            shown = apparent_tilt(felt[:, step, 6:], INCLINOMETER.linear_range)
+            tilts += (1.0 - self._keep) * (shown - tilts)
         mean = felt.mean(axis=1)
         parts = {
             "wheel_speeds": rates[:, self.wheels],
@@ -121,13 +121,6 @@ class Readings:
             if last is None or channel.stamp != last.stamp:
                 found[place] = channel.value
         return found
-
-
-def apparent_tilt(force: FloatArray) -> FloatArray:
-    """Return pitch and roll (n, 2) that an inclinometer's masses show in specific forces (n, 3)."""
-    pitch = np.arcsin(np.clip(force[:, 1] / GRAVITY, -_MOST, _MOST))
-    across = -force[:, 0] / (GRAVITY * np.cos(pitch))
-    return np.column_stack([pitch, np.arcsin(np.clip(across, -_MOST, _MOST))])
 
 
 def _mark(rows: FloatArray, columns: np.ndarray) -> None:

@@ -13,7 +13,7 @@ from twin.loop import LoopRecorder, run
 from twin.robot import MISSING, ArmMode, Command, WheelMode
 from twin.shadow.deviations import hasten, rover_deviations, shadow_scene
 from twin.shadow.gain import ShadowNoise, SteadyGain
-from twin.shadow.readings import CHANNELS, Readings, apparent_tilt
+from twin.shadow.readings import CHANNELS, Readings
 from twin.shadow.shadow import Shadow, ShadowConfig
 
 ROBOT = "rover1"
@@ -451,14 +451,6 @@ def test_it_waits_for_what_it_begins_with():
 
     _, found = beside(1.5, seen=late)
     assert 1.0 < found[0].time < 1.05 and len(found) < 52  # noqa: PLR2004
-
-
-def test_tilt_of_the_masses_at_rest_is_that_of_the_body():
-    pitch, roll = 0.1, -0.05
-    force = 9.81 * np.array(
-        [-np.cos(pitch) * np.sin(roll), np.sin(pitch), np.cos(pitch) * np.cos(roll)]
-    )
-    assert apparent_tilt(force[None])[0] == pytest.approx([pitch, roll], abs=1e-6)
 
 
 def test_every_deviation_changes_what_is_expected():
