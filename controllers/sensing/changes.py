@@ -281,9 +281,8 @@ class ChangeDetector:
     @property
     def memory(self) -> ChangeMemory:
         """What was learned so far."""
-        blocks = self._before + self._seen
         products, learned = self._products.copy(), self._learned.copy()
-        return ChangeMemory(self._mean, self._covariance, products, learned, blocks)
+        return ChangeMemory(self._mean, self._covariance, products, learned, self.blocks)
 
     def remember(self, memory: ChangeMemory) -> None:
         """Go on where a detector of the same deviations had come to.
@@ -367,7 +366,7 @@ class ChangeDetector:
         self._recent.append(block)
         if len(self._recent) > max(self._config.windows):
             self._learn(self._recent.popleft())
-        if self._before + self._seen >= self._config.learning:
+        if self.blocks >= self._config.learning:
             self._looking = self._look()
         return None
 
@@ -383,6 +382,29 @@ class ChangeDetector:
         self._covariance = self._covariance + finding.sigma**2 * np.outer(along, along)
         self._pause()
         self._seen, self._before = self._config.settling, 0
+
+    def take_in(self, which: NDArray[np.bool_]) -> FloatArray:
+        """Go on with a twin that has what was learned, of all blocks so far.
+
+        Args:
+            which: (k,) deviations that it takes in.
+
+        Returns:
+            (k,) what it has of them from now on, beside what it had.
+        """
+        while self._recent:
+            self._learn(self._recent.popleft())
+        taken = np.where(which, self.deviations, 0.0)
+        mean = self._mean.copy()
+        mean[: len(taken)] -= taken / self._spreads
+        self._mean = mean
+        self.pause()
+        return taken
+
+    @property
+    def blocks(self) -> int:
+        """Count of blocks from which was learned, or will be."""
+        return self._before + self._seen
 
     @property
     def _variances(self) -> FloatArray:

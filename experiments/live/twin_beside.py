@@ -157,6 +157,8 @@ class TwinBeside:
                 raise ValueError(f"{placed.name}: what is known is of a twin with other deviations")
             self.shadow.know(memory.known)
             self._detector.remember(memory.learned)
+        #: What the twin takes in as it is learned: what does not happen wholly, or wander.
+        self._lasting = ~wander & np.array([not each.encoder for each in self.deviations])
         self._begin = begin
         self._applied: Command | None = None
         self._squares: list[FloatArray] = []
@@ -199,6 +201,7 @@ class TwinBeside:
         time = self._begin + innovation.time
         if len(self._squares) == self._config.block:
             self._end_block(time)
+            self._take_in()
         found = self._jump(tick) or self._drift(tick) or self._look(innovation, kind)
         if found is not None:
             self._end_trial()
@@ -304,6 +307,16 @@ class TwinBeside:
                 detector.odds,
             )
         )
+
+    def _take_in(self) -> None:
+        """Let the twin have what was learned, when half of the learning is over, and all of it.
+
+        Innovations are linear in small deviations only: friction that holds a joint lets go.
+        """
+        learning = self._config.learning
+        if self._trial is None and self._detector.blocks in (learning // 2, learning):
+            self.shadow.know(self.shadow.known + self._detector.take_in(self._lasting))
+            self._pause()
 
     def _name(self, found: Finding, time: float) -> None:
         change = self._by_name.get(found.name)

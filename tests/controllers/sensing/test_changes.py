@@ -286,6 +286,24 @@ def test_it_goes_on_with_what_it_has_learned():
         ChangeDetector(SPREADS[:2], [], ROBUST).remember(detector.memory)
 
 
+def test_a_twin_that_takes_in_what_was_learned_misses_what_is_left():
+    rng, true = np.random.default_rng(4), np.array([0.4, -1.5, 0.05])
+    detector = ChangeDetector(SPREADS, CHANGES, ROBUST)
+    for values, slopes in innovations(rng, 1000, lambda tick: true):
+        detector.step(values, SIGMA, slopes)
+    blocks = detector.blocks
+    taken = detector.take_in(np.array([True, True, False]))
+    sigma = np.sqrt(np.diag(detector.covariance))
+    assert np.all(np.abs(taken - true)[:2] < 4.0 * sigma[:2])
+    assert taken[2] == 0.0
+    assert detector.deviations[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert abs(detector.deviations[2] - true[2]) < 4.0 * sigma[2]
+    assert detector.blocks == blocks
+    for values, slopes in innovations(rng, 1000, lambda tick: true - taken):
+        assert detector.step(values, SIGMA, slopes) is None
+    assert np.all(np.abs(taken + detector.deviations - true) < 4.0 * sigma)
+
+
 def test_a_block_of_fewer_ticks_than_there_are_windows_is_refused():
     with pytest.raises(ValueError, match="block = 3: expected more ticks than the 3 windows"):
         dataclasses.replace(CONFIG, block=3)
