@@ -14,7 +14,6 @@ import numpy as np
 from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 from perception.geometry.gravity import apparent_tilt
-from twin.servo import SERVO_PERIOD
 
 
 @dataclasses.dataclass(frozen=True)
@@ -73,14 +72,20 @@ class TiltZeros:
         bandwidth: Corner of the inclinometer's low pass [Hz].
         most: Apparent tilt at which its masses stop [rad].
         noise: Standard deviation of an acceleration that is read [m/s^2].
+        period: Time between two ticks [s].
         config: What counts as a drift; None for the default.
     """
 
     def __init__(
-        self, bandwidth: float, most: float, noise: float, config: TiltZeroConfig | None = None
+        self,
+        bandwidth: float,
+        most: float,
+        noise: float,
+        period: float,
+        config: TiltZeroConfig | None = None,
     ) -> None:
         self._config = config or TiltZeroConfig()
-        self._keep = math.exp(-2.0 * math.pi * bandwidth * SERVO_PERIOD)
+        self._keep = math.exp(-2.0 * math.pi * bandwidth * period)
         self._most, self._shaken = most, noise * self._config.quiet
         #: Blocks that may have drifted.
         self._latest: collections.deque[FloatArray] = collections.deque(maxlen=self._config.count)

@@ -147,7 +147,8 @@ class TwinBeside:
             float(noise[at[name]].max()) for name in ("arm_angles", "arm_rates", "accelerometer")
         )
         self._jumps = ZeroJumps(angle, rate)
-        self._tilts = TiltZeros(INCLINOMETER.bandwidth, INCLINOMETER.linear_range, force)
+        sheet = INCLINOMETER
+        self._tilts = TiltZeros(sheet.bandwidth, sheet.linear_range, force, SERVO_PERIOD)
         self._tilted = -math.inf
         self._eyes = LooseCamera(self.drawn.head.camera) if self.drawn.head else None
         self._looked = -math.inf
@@ -309,12 +310,12 @@ class TwinBeside:
         )
 
     def _take_in(self) -> None:
-        """Let the twin have what was learned, when half of the learning is over, and all of it.
+        """Let the twin have what was learned, after each quarter of the learning but the last.
 
         Innovations are linear in small deviations only: friction that holds a joint lets go.
         """
-        learning = self._config.learning
-        if self._trial is None and self._detector.blocks in (learning // 2, learning):
+        quarters = [number * self._config.learning // 4 for number in (1, 2, 3)]
+        if self._trial is None and self._detector.blocks in quarters:
             self.shadow.know(self.shadow.known + self._detector.take_in(self._lasting))
             self._pause()
 

@@ -31,7 +31,7 @@ def readings(seconds, seed=1):
 
 
 def found(times, tilts, forces):
-    zeros = TiltZeros(BANDWIDTH, MOST, NOISE)
+    zeros = TiltZeros(BANDWIDTH, MOST, NOISE, TICK)
     told = [
         (time, zeros.step(tilt if number % 4 == 0 else None, force))
         for number, (time, tilt, force) in enumerate(zip(times, tilts, forces, strict=True))
