@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from experiments.living.happenings import happen
-from experiments.living.living_twin import CELLS
+from experiments.living.living_twin import CELLS, LOOSE
 from experiments.living.trial import FIELD
 from models.compose import RobotPlacement
 from perception.stereo.eye_turn import find_eye_turn
@@ -207,6 +207,7 @@ def test_a_camera_that_comes_loose_is_seen_turned_by_its_size():
 
 
 def test_each_of_thirteen_things_happens_in_two_sizes_or_to_two_parts():
-    kinds = [name.partition(" ")[0] for name, _ in CELLS]
-    assert len(CELLS) == 26 and len(set(CELLS)) == 26  # noqa: PLR2004
+    cells = [*CELLS, *LOOSE]
+    kinds = [name.partition(" ")[0] for name, _ in cells]
+    assert len(cells) == 26 and len(set(cells)) == 26  # noqa: PLR2004
     assert sorted({kinds.count(each) for each in set(kinds)}) == [2, 4]
