@@ -403,7 +403,7 @@ class ChangeDetector:
 
     @property
     def blocks(self) -> int:
-        """Count of blocks from which was learned, or will be."""
+        """Count of blocks that were seen."""
         return self._before + self._seen
 
     @property

@@ -147,8 +147,9 @@ class TwinBeside:
             float(noise[at[name]].max()) for name in ("arm_angles", "arm_rates", "accelerometer")
         )
         self._jumps = ZeroJumps(angle, rate)
-        sheet = INCLINOMETER
-        self._tilts = TiltZeros(sheet.bandwidth, sheet.linear_range, force, SERVO_PERIOD)
+        self._tilts = TiltZeros(
+            INCLINOMETER.bandwidth, INCLINOMETER.linear_range, force, SERVO_PERIOD
+        )
         self._tilted = -math.inf
         self._eyes = LooseCamera(self.drawn.head.camera) if self.drawn.head else None
         self._looked = -math.inf
@@ -312,10 +313,13 @@ class TwinBeside:
     def _take_in(self) -> None:
         """Let the twin have what was learned, after each quarter of the learning but the last.
 
-        Innovations are linear in small deviations only: friction that holds a joint lets go.
+        Innovations are linear in small deviations only: friction that holds a joint lets go. A
+        learning is too short for that if a quarter of it is over as soon as the twin has settled.
         """
-        quarters = [number * self._config.learning // 4 for number in (1, 2, 3)]
-        if self._trial is None and self._detector.blocks in quarters:
+        learning = self._config.learning
+        quarters = [number * learning // 4 for number in (1, 2, 3)]
+        long_enough = learning > 4 * self._config.settling
+        if long_enough and self._trial is None and self._detector.blocks in quarters:
             self.shadow.know(self.shadow.known + self._detector.take_in(self._lasting))
             self._pause()
 
