@@ -22,7 +22,7 @@ from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 
 _MOST = 60.0  # Deviations for which a single miss counts at most.
-_STRANGE = 4.0  # Mean squared miss above which what the best twin misses counts as much, and the
+_STRANGE = 20.0  # Mean squared miss above which what the best twin misses counts as much, and the
 _LITTLE = 0.5  # share of what is missed without it above which that explains too little.
 _TELLING = 9.0  # Squared miss of the unchanged robot from which on what sticks misses less.
 _STILL = 4  # Last blocks in each of which what is unknown is strange still.
@@ -62,7 +62,7 @@ class TrialConfig:
     off: float = 0.1
     left: float = 1e-20
     decided: float = 1e6
-    needed: float = 7.5
+    needed: float = 3.0
     smallest: float = 0.4
     sure: float = 1.3
     freedom: float = 4.0
@@ -203,9 +203,9 @@ class Trial:
         limit = max(likely) + math.log(self._config.left)
         left: list[tuple[Change, float]] = []
         rows, before, row = list[int](), list[float](), 1
-        for change, sizes, part, each in zip(self._changes, self._sizes, parts, likely):
+        for index, (change, part, each) in enumerate(zip(self._changes, parts, likely)):
             if each > limit:
-                left.append((change, peak(sizes, part)[0]))
+                left.append((change, self._next(index, part)))
                 rows.append(row + int(np.argmax(part)))
                 # The first part's sizes are far apart: one that lies between them counts for less.
                 before.append(each if self._parts > 1 else 0.0)
@@ -213,6 +213,12 @@ class Trial:
         self._parts += 1
         self._try(left, self._config.fine, before)
         self.begin = [0, *np.repeat(rows, [len(each) for each in self._sizes]).tolist()]
+
+    def _next(self, index: int, likely: FloatArray) -> float:
+        """Return about what size a change is tried out next: beyond the largest, if it is that."""
+        if self._parts > 1 and self._larger(index, likely):
+            return float(self._sizes[index][-1]) * math.sqrt(self._config.fine[-1])
+        return peak(self._sizes[index], likely)[0]
 
     def _judge(self) -> None:
         """End the trial, if it can be told what came of it."""
@@ -223,10 +229,12 @@ class Trial:
         decided = not others or likely[best] - likely[others[0]] > math.log(config.decided)
         enough = self._blocks >= config.least and needed and decided
         limit = likely[best] + math.log(config.left)
-        at_edge = any(
+        at_edge = enough and any(
             each > limit and self._beyond(index, parts[index]) for index, each in enumerate(likely)
         )
-        if enough and self._parts < config.parts and at_edge:
+        # What is larger than all sizes that were tried out is needed more than it seems.
+        at_edge = at_edge or self._larger(best, parts[best])
+        if self._blocks >= config.least and self._parts < config.parts and at_edge:
             self._refine()
             return
         self.over = enough or self._blocks >= config.most
@@ -241,10 +249,14 @@ class Trial:
 
     def _beyond(self, best: int, likely: FloatArray) -> bool:
         """Return whether a change may be larger or smaller than all sizes that were tried out."""
-        at, sizes = int(np.argmax(likely)), np.abs(self._sizes[best])
-        if len(sizes) == 1:
-            return False
-        return at == 0 or (at == len(sizes) - 1 and sizes[at] < self._changes[best].most)
+        smaller = len(likely) > 1 and int(np.argmax(likely)) == 0
+        return smaller or self._larger(best, likely)
+
+    def _larger(self, best: int, likely: FloatArray) -> bool:
+        """Return whether a change may be larger than all sizes that were tried out."""
+        last = len(likely) - 1
+        may_be = abs(float(self._sizes[best][last])) < self._changes[best].most
+        return last > 0 and may_be and int(np.argmax(likely)) == last
 
     def _found(self, best: int, likely: FloatArray) -> Finding:
         """Return a change with its size, by the likelihood of each that was tried out."""

@@ -114,7 +114,7 @@ def _watch(
     several = stream.settings is not None and len(stream.settings.robots) > 1
     out = options.out / robot if several and not options.name else options.out
     placed = placement_of(stream.settings, robot)
-    twin = TwinBeside(placed, options.learning)
+    twin = TwinBeside(placed, options.learning, rough=options.rough)
     stack.callback(twin.close)
     stack.enter_context(take(out))
     folder = stack.enter_context(closing(TwinFolder(out, new=True)))
@@ -139,7 +139,7 @@ def own(options: Options) -> None:
         number, mended = next_run(options.out)
         if np.isfinite(mended):
             print(f"the run before was killed; its log was completed, up to {mended:.2f} s")
-        twin = TwinProcess(placed, options.out, number, options.learning)
+        twin = TwinProcess(placed, options.out, number, options.learning, options.rough)
         stack.callback(twin.close)
         twin.wait()
         path = options.out / f"run-{number:03d}"

@@ -22,6 +22,8 @@ class Options(HandOptions):
         robot: Rover to own and drive by hand, instead of --log: sim, quantised, emulated, or
             serial:PORT[,NAME=VALUE...]. It is activated on the page alone.
         learning: Time for which the rover is only learned, before changes are looked for [s].
+        rough: The ground is uneven, or more slippery here than there: there neither less grip nor a
+            tilt or twist is a change. On even ground, level or not, a soft spring shows by these.
         out: Folder of what is written; of a rover that is owned the history too, with which the
             next run goes on.
         live: Also show the twin's recording in the rerun viewer as it grows: in a window, or
@@ -33,6 +35,7 @@ class Options(HandOptions):
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = ""
     robot: Annotated[str, tyro.conf.arg(metavar="TARGET")] = ""
     learning: Annotated[float, tyro.conf.arg(metavar="S")] = 20.0
+    rough: bool = False
     out: Path = Path("results/live")
     live: bool = False
 

@@ -67,16 +67,24 @@ class TwinProcess(LoopRecorder):
         folder: Folder of its history.
         number: Number of the run.
         learning: Time for which the rover is only learned [s].
+        rough: Whether the ground is uneven, as of `TwinBeside`.
 
     Attributes:
         state: What the twin told last; None before it told anything.
     """
 
-    def __init__(self, placed: RobotPlacement, folder: Path, number: int, learning: float) -> None:
+    def __init__(
+        self,
+        placed: RobotPlacement,
+        folder: Path,
+        number: int,
+        learning: float,
+        rough: bool = False,
+    ) -> None:
         self._robot = placed.name
         self._ticks: mp.Queue[Timed | None] = _CONTEXT.Queue(WAITING)
         self._told, tells = _CONTEXT.Pipe(duplex=False)
-        words = (placed, folder, number, learning, self._ticks, tells, os.getpid())
+        words = (placed, folder, number, learning, rough, self._ticks, tells, os.getpid())
         self._process = _CONTEXT.Process(target=_beside, args=words, daemon=True)
         self._process.start()
         tells.close()
@@ -139,6 +147,7 @@ def _beside(
     path: Path,
     number: int,
     learning: float,
+    rough: bool,
     ticks: "mp.Queue[Timed | None]",
     tells: Pipe,
     parent: int,
@@ -150,7 +159,8 @@ def _beside(
     with contextlib.ExitStack() as stack:
         try:
             folder = stack.enter_context(contextlib.closing(TwinFolder(path, new=False)))
-            twin = TwinBeside(placed, learning, time.time() - folder.began, folder.memory)
+            begin = time.time() - folder.began
+            twin = TwinBeside(placed, learning, begin, folder.memory, rough=rough)
             stack.callback(twin.close)
             watch = Watch(folder, twin, placed, path / f"run-{number:03d}.rrd")
         except (ExperimentError, ValueError, OSError) as error:

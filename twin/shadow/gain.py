@@ -107,7 +107,8 @@ class SteadyGain:
         for (_, values), place in zip(noise.readings, readings.channels.values()):
             variances[place] += np.square(values)
         self._noise = np.diag(variances)
-        self._covariance = np.diag(np.full(2 * freedoms + 3, 1e-4))
+        # What has no noise is known.
+        self._covariance: FloatArray = np.where(self._process > 0.0, 1e-4, 0.0)
         self._at: FloatArray | None = None
         self._parts: Iterator[None] = iter(())
 

@@ -158,6 +158,7 @@ class Shadow:
         #: Mean slope that the twin drove over, as the world looks.
         self._far: FloatArray = np.zeros(2)
         self._tilts: FloatArray = np.zeros((1, 2))
+        self._twisted = False
         self.know(np.zeros(count))
         self.reset()
 
@@ -170,12 +171,15 @@ class Shadow:
         self.known = np.array(values, dtype=float)
         rows = np.vstack([self.known, self.known + np.diag(self._units), self.known])
         self._run(rows, [self._hasty(row) for row in rows])
-        self._gain = SteadyGain(
-            self._deviating(self.known), self._readings, self._config.noise, self._steps
-        )
+        noise = self._config.noise
+        if self._config.even:
+            noise = dataclasses.replace(noise, twist=0.0)
+        self._gain = SteadyGain(self._deviating(self.known), self._readings, noise, self._steps)
 
     def try_out(self, values: FloatArray, begin: Sequence[int] | None = None) -> None:
         """Let copies run from where the twin is, instead of earlier ones.
+
+        On even ground they begin on what it drove over in the mean.
 
         Args:
             values: (m, k) deviations of the copies.
@@ -186,6 +190,10 @@ class Shadow:
         tried = [self._hasty(row) for row in values]
         from_where = None if begin is None else usual + np.asarray(begin, dtype=np.intp)
         self._run(rows, [*self._models[:usual], *tried, self._models[-1]], from_where)
+        if begin is None and self._config.even:
+            # What a change did looked like a slope, too.
+            self._grounds[usual:-1, :2] = self._far
+            self._tilt_gravity()
 
     def foresee(self, values: FloatArray) -> None:
         """Begin to predict from where the twin is, with deviations (k,), as the robot has them."""
@@ -254,7 +262,7 @@ class Shadow:
     def reset(self) -> None:
         """Begin anew with the next observation."""
         self._before: Observation | None = None
-        self._grounds[:] = 0.0
+        self._grounds[:, :2] = 0.0
 
     def step(self, seen: Observation, applied: Command) -> Innovation | None:
         """Predict to an observation, and correct the twin by it.
@@ -389,7 +397,7 @@ class Shadow:
         self._held: FloatArray = np.zeros(self._readings.size)
         self._held[self.channels["arm_angles"]] = seen.arm_angles.value
         data = mujoco.MjData(drawn)
-        self._grounds[:] = 0.0
+        self._grounds[:, :2] = 0.0
         self._tilt_gravity()
         settle(self._models[0], data, places, self._readings, BEGINNING)
         count = len(self._models)
@@ -399,7 +407,9 @@ class Shadow:
         self._states = np.tile(state, (count, 1))
         tilt = np.array([2.0 * data.qpos[4], 2.0 * data.qpos[5]])
         self._grounds[:, :2] = np.asarray(seen.inclinometer.value, dtype=float) - tilt
-        if seen.centre_angle.usable:
+        if seen.centre_angle.usable and not (self._config.even and self._twisted):
+            # What is left of it on even ground is how it was made.
+            self._twisted = True
             self._grounds[:, 2:] = seen.centre_angle.value - data.qpos[self._readings.centre[:1]]
         self._far = self._grounds[0, :2].copy()
         self._tilts = np.tile(tilt, (count, 1)) + self._grounds[:, :2]

@@ -76,6 +76,18 @@ def test_a_rover_as_drawn_shows_no_change(tmp_path, capsys):
     assert "no change was found" in capsys.readouterr().out
 
 
+def test_on_rough_ground_a_twist_tells_nothing(tmp_path):
+    write_log(tmp_path / "run.mcap", 1.0)
+    words = ["live", "--log", f"{tmp_path}/run.mcap", "--learning", "0.5"]
+    told = list[set[str]]()
+    for more in ([], ["--rough"]):
+        assert main([*words, *more, "--out", f"{tmp_path}/found"]) == 0
+        found = json.loads((tmp_path / "found" / "live.json").read_text())
+        there = found["innovations_over_sigma"].items()
+        told.append({name for name, value in there if value is not None})
+    assert told[0] - told[1] == {"centre_angle"}
+
+
 class Both:
     """Two rovers that work."""
 
