@@ -242,15 +242,15 @@ class Shadow:
         return self._as_it_looks(self._grounds[:1, :2])[0]
 
     def _as_it_looks(self, slopes: FloatArray) -> FloatArray:
-        """Return slopes (m, 2), as the world looks, as the rover looks."""
-        right, forward = _turn(-self._heading) @ [slopes[:, 1], -slopes[:, 0]]
+        """Return slopes of the first models (m, 2), as the world looks, as each rover looks."""
+        right, forward = _turn(-self._headings[: len(slopes)], slopes[:, 1], -slopes[:, 0])
         return np.column_stack([-forward, right])
 
     @property
-    def _heading(self) -> float:
-        """Of the twin [rad]."""
-        w, x, y, z = self._states[0, 4:8].tolist()
-        return math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    def _headings(self) -> FloatArray:
+        """(m,) of the models [rad]."""
+        w, x, y, z = self._states[:, 4:8].T
+        return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
     @property
     def places(self) -> FloatArray | None:
@@ -447,14 +447,14 @@ class Shadow:
         places[:, :3] += change[:, :3]
         places[:, 3:7] = _turned(places[:, 3:7], change[:, 3:6])
         places[:, 7:] += change[:, 6:freedoms]
-        # Velocity and slope are the world's, their corrections as the rover looks.
-        turn = _turn(self._heading)
-        change[:, freedoms : freedoms + 2] = change[:, freedoms : freedoms + 2] @ turn.T
+        # Velocity and slope are the world's, their corrections as each rover looks.
+        headings, along = self._headings, change[:, freedoms : freedoms + 2]
+        along[:] = np.column_stack(_turn(headings, along[:, 0], along[:, 1]))
         rates = self._states[:, 1 + count :]
         rates += change[:, freedoms : 2 * freedoms]
         rates[self._blocked[0], self._blocked[1]] = 0.0
         pitch, roll, twist = change[:, 2 * freedoms :].T
-        right, forward = turn @ [roll, -pitch]
+        right, forward = _turn(headings, roll, -pitch)
         self._grounds += np.column_stack([-forward, right, twist])
         self._tilt_gravity()
 
@@ -468,7 +468,7 @@ def _turned(quaternions: FloatArray, angles: FloatArray) -> FloatArray:
     return found / np.linalg.norm(found, axis=1, keepdims=True)
 
 
-def _turn(angle: float) -> FloatArray:
-    """Return the rotation (2, 2) by an angle [rad]."""
-    cosine, sine = math.cos(angle), math.sin(angle)
-    return np.array([[cosine, -sine], [sine, cosine]])
+def _turn(angles: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return coordinates (m,) of vectors that are turned by angles (m,) [rad]."""
+    cosine, sine = np.cos(angles), np.sin(angles)
+    return cosine * x - sine * y, sine * x + cosine * y
