@@ -43,7 +43,7 @@ class ShadowNoise:
         joints: Change of the arm's rates [rad/s].
         centre: Change of the centre joint's rate [rad/s].
         slope: Change of the ground's slope below a rover that drives [rad].
-        twist: Change of its twist likewise [rad].
+        twist: Change of its twist likewise [rad]; 0 where the ground has none.
         readings: What the model of each channel misses, by its name; forces before moments.
             Forces and accelerations are to correct nothing: what a load adds to them for good, the
             state would make up for.
