@@ -64,7 +64,7 @@ class TrialConfig:
     decided: float = 1e6
     needed: float = 3.0
     smallest: float = 0.4
-    sure: float = 1.3
+    sure: float = 2.0
     freedom: float = 4.0
 
     def __post_init__(self) -> None:

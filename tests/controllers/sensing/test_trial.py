@@ -90,9 +90,9 @@ def test_what_is_lost_wholly_has_a_name_of_its_own(lost, name):
     assert found.size == (1.0 if name == "blocked" else pytest.approx(lost, abs=0.05))
 
 
-@pytest.mark.parametrize(("before", "named"), [(0.1, True), (1.0, False)])
+@pytest.mark.parametrize(("before", "named"), [(0.13, True), (0.25, False)])
 def test_what_may_as_well_be_as_it_was_is_not_named(before, named):
-    """Half a unit, of a robot that is known to a tenth of one or to one."""
+    """Half a unit, of a robot that is known to an eighth of one or to a quarter."""
     learned = LEARNED._replace(covariance=before**2 * np.eye(COUNT))
     found, _ = tried(Trial(CHANGES[2:3], learned), BEFORE + 0.5 * CHANGES[2].direction)
     assert (found is not None) == named
