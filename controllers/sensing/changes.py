@@ -46,9 +46,9 @@ class Change:
         name: Such as ``load gripper``.
         unit: Unit of its size.
         direction: (k,) what one unit changes of each deviation.
-        spread: How large it may well be, in its unit; about `usual`.
+        spread: How large it may well be, in its unit.
         sign: 1 or -1 for one whose size is above or below zero only; 0 for both.
-        usual: Size that it usually has: 1 of what happens wholly or not at all.
+        usual: 1 of what happens wholly or not at all, which is tried out only; 0 of all else.
         most: Largest size, to either side, that there can be.
         wholly: Name of the change that it is where it is as large as that, which happens wholly or
             not at all; empty if it is still itself.
@@ -144,7 +144,6 @@ class _Blocks(NamedTuple):
         slopes: (m, k, n) sensitivities to deviations.
         offsets: (m, n) sensitivities to the reading's own offset.
         kinds: (m,) kinds of motion.
-        refuted: (m, k) deviations that cannot be.
     """
 
     ticks: FloatArray
@@ -152,7 +151,6 @@ class _Blocks(NamedTuple):
     slopes: FloatArray
     offsets: FloatArray
     kinds: NDArray[np.intp]
-    refuted: NDArray[np.bool_]
 
     def last(self, count: int) -> "_Blocks":
         """Return the latest of them."""
@@ -217,7 +215,7 @@ class ChangeDetector:
 
     Args:
         spreads: (k,) standard deviations of the deviations among new robots.
-        changes: Changes that there may be.
+        changes: Changes that there may be, of those that have a size.
         config: How they are found; None for the default.
         walks: (k,) `ChangeConfig.walk` of each deviation, where it is not the same of all.
 
@@ -242,7 +240,6 @@ class ChangeDetector:
         rows = [each.direction / self._spreads for each in self.changes]
         self._changes = np.array(rows).reshape(len(rows), len(self._spreads))
         self._sizes = np.array([each.spread for each in self.changes])
-        self._usual = np.array([each.usual for each in self.changes])
         self._signs = np.array([each.sign for each in self.changes])
         self.reset()
 
@@ -268,7 +265,7 @@ class ChangeDetector:
         #: What the latest blocks of one kind of motion were off by, and which that is.
         self._left: collections.deque[FloatArray] = collections.deque(maxlen=self._config.lags)
         self._last = -1
-        self._ticks: list[tuple[FloatArray, FloatArray, int, NDArray[np.bool_]]] = []
+        self._ticks: list[tuple[FloatArray, FloatArray, int]] = []
         self._recent: collections.deque[_Blocks] = collections.deque()
         self._looking: Iterator[Finding | None] = iter(())
         self._seen, self._alarmed = 0, -1
@@ -333,7 +330,6 @@ class ChangeDetector:
         sigma: FloatArray,
         sensitivities: FloatArray,
         kind: int = 0,
-        refuted: NDArray[np.bool_] | None = None,
     ) -> Finding | None:
         """Take the innovations of a tick.
 
@@ -342,7 +338,6 @@ class ChangeDetector:
             sigma: (n,) standard deviations of the readings.
             sensitivities: (k, n) change of the expected by one unit of each deviation.
             kind: Kind of motion, below `KINDS`.
-            refuted: (k,) deviations that cannot be; None for none.
 
         Returns:
             The likeliest change, once there is one. That is some ticks after the block that shows
@@ -352,9 +347,7 @@ class ChangeDetector:
         # What is far beyond its noise counts for less, and with it what would explain it.
         counted = 1.0 / np.maximum(sigma, np.abs(np.nan_to_num(values)) / _MOST)
         slopes = self._spreads[:, None] * sensitivities * counted
-        if refuted is None:
-            refuted = np.zeros(len(self._spreads), dtype=bool)
-        self._ticks.append((values * counted, slopes, kind, refuted))
+        self._ticks.append((values * counted, slopes, kind))
         if len(self._ticks) < self._config.block or finding is not None:
             return finding
         block, self._ticks = _averaged(self._ticks, self._config.offset), []
@@ -479,10 +472,7 @@ class ChangeDetector:
         freedom = self._config.freedom
         rough = (freedom + squares) / (freedom + count)
         rough = np.clip(rough, 1.0, _ROUGHEST)
-        window = self._weigh(*blocks.weighed(variances * rough), spared)
-        cannot = np.abs(self._changes) @ blocks.refuted.any(axis=0) > 0.0
-        ratios = np.where(cannot, -np.inf, window.ratios)
-        return window._replace(ratios=ratios)
+        return self._weigh(*blocks.weighed(variances * rough), spared)
 
     def _left_by(
         self,
@@ -531,10 +521,11 @@ class ChangeDetector:
         precision = np.maximum(precision, _LEAST / self._sizes**2)
         sizes = self._directions @ pull / precision
         within = precision * self._sizes**2
-        off = (sizes - self._usual) ** 2 / (1.0 + within)
-        ratios = 0.5 * (precision * (sizes**2 - off) - np.log1p(within))
+        # What is left of their squares where the size is drawn back by how large it may be.
+        square = precision * sizes**2 * within / (1.0 + within)
+        ratios = 0.5 * (square - np.log1p(within))
         # Of a change of one sign the other half of the sizes counts for nothing.
-        ahead = sizes * np.sqrt(precision * within / (1.0 + within))
+        ahead = np.sign(sizes) * np.sqrt(square)
         half = np.log(2.0) + scipy.special.log_ndtr(self._signs * ahead)
         ratios += np.where(self._signs == 0, 0.0, half)
         return _Window(ratios, sizes, precision**-0.5)
@@ -545,14 +536,11 @@ def _joined(blocks: Iterable[_Blocks]) -> _Blocks:
     return _Blocks(*(np.concatenate(rows) for rows in zip(*blocks)))
 
 
-def _averaged(
-    ticks: Sequence[tuple[FloatArray, FloatArray, int, NDArray[np.bool_]]], offset: float
-) -> _Blocks:
+def _averaged(ticks: Sequence[tuple[FloatArray, FloatArray, int]], offset: float) -> _Blocks:
     """Return the means of some ticks as one block."""
-    values = np.array([each for each, _, _, _ in ticks])
-    slopes = np.array([each for _, each, _, _ in ticks])
-    kinds = [kind for _, _, kind, _ in ticks]
-    refuted = np.array([each for _, _, _, each in ticks], dtype=bool)
+    values = np.array([each for each, _, _ in ticks])
+    slopes = np.array([each for _, each, _ in ticks])
+    kinds = [kind for _, _, kind in ticks]
     there = np.isfinite(values)
     count = there.sum(axis=0).astype(float)
     over = np.maximum(count, 1.0)
@@ -564,5 +552,4 @@ def _averaged(
         np.where(count > 0, offset, 0.0)[None],
         # A block in which the rover drives at all is shaken.
         np.array([np.bitwise_or.reduce(kinds)]),
-        np.any(refuted, axis=0, keepdims=True),
     )

@@ -204,7 +204,8 @@ class Trial:
         left: list[tuple[Change, float]] = []
         rows, before, row = list[int](), list[float](), 1
         for index, (change, part, each) in enumerate(zip(self._changes, parts, likely)):
-            if each > limit:
+            # How likely one is that may be larger than all sizes that were tried out is not known.
+            if each > limit or self._larger(index, part):
                 left.append((change, self._next(index, part)))
                 rows.append(row + int(np.argmax(part)))
                 # The first part's sizes are far apart: one that lies between them counts for less.

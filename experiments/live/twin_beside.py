@@ -140,7 +140,7 @@ class TwinBeside:
              for each, fixed in zip(self.deviations, wander)]
         )  # fmt: skip
         self._by_name = {each.name: each for each in self._changes}
-        felt = [each for each in self._changes if each.name not in TILTS]
+        felt = [each for each in self._changes if each.name not in TILTS and not each.usual]
         self._detector = ChangeDetector(spreads, felt, self._config, walks)
         noise, at = self.shadow.noise, self.shadow.channels
         angle, rate, force = (
@@ -248,7 +248,7 @@ class TwinBeside:
         """Look for changes; those that are suspected are tried out until one is named, or none."""
         told = innovation.sigma, innovation.sensitivities
         if self._trial is None:
-            found = self._detector.step(innovation.values, *told, kind, innovation.refuted)
+            found = self._detector.step(innovation.values, *told, kind)
             if found is not None:
                 unit = self._by_name[found.name].unit
                 self.suspected.append(Named(self._begin + innovation.time, found, unit))

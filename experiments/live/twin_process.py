@@ -11,6 +11,8 @@ from multiprocessing.connection import Connection as Pipe
 from pathlib import Path
 from typing import NamedTuple
 
+import threadpoolctl
+
 from experiments.harness.contract import ExperimentError
 from experiments.harness.figure_style import use_style
 from experiments.live.twin_beside import LOOKING, TwinBeside
@@ -167,6 +169,8 @@ def _beside(
             tells.send(str(error))
             return
         tells.send(None)
+        # Of matrices so small, threads wait for each other longer than one takes.
+        stack.enter_context(threadpoolctl.threadpool_limits(1))
         missed, lost, count = 0, 0, 0
         for timed in iter(ticks.get, None):
             changed = watch.step(timed.tick)

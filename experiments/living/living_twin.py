@@ -267,9 +267,9 @@ def _measure(
 def _measure_suspected(changed: Sequence[Told], output: Output) -> None:
     """Measure what innovations say as far as they are linear in a change, before it is tried out.
 
-    Beside it stands what was named of the same changes.
+    Beside it stands what was named of the same changes, of those that have a size.
     """
-    suspected = [result for result in changed if result.suspected]
+    suspected = [result for result in changed if result.suspected and not result.whole]
     if not suspected:
         return
     as_linear = [
@@ -283,7 +283,7 @@ def _measure_suspected(changed: Sequence[Told], output: Output) -> None:
     ]
     for key, results in (("linear", as_linear), ("tried", suspected)):
         output.measure(f"right_{key}", success_fraction(result.right for result in results))
-        sizes = [_covered(result) for result in results if result.right and not result.whole]
+        sizes = [_covered(result) for result in results if result.right]
         if sizes:
             output.measure(f"covered_{key}", success_fraction(sizes))
 

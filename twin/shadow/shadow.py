@@ -36,14 +36,10 @@ SWINGING = 0.05
 """Rate above which a joint of the arm swings [rad/s]."""
 MOVING = 10.0
 """Deviations of a rate's noise above which what it is measured of neither sticks nor is blocked."""
-TELLING = 3.0
-"""Deviations of a reading above which one that sticks, or of what is blocked, tells something."""
 STANDING = 0.02
 """Share of its correction by which the ground is corrected below a rover that stands."""
 LINGERING = 0.5
 """Time after a drive until a rover stands [s]."""
-LEADING = 1.0
-"""Time constant with which a copy whose sensor sticks is led back to the twin [s]."""
 BEGINNING = 2.0
 """Time in which the twin comes to rest before it begins [s]."""
 FAR = 20.0
@@ -63,7 +59,8 @@ class Innovation(NamedTuple):
         time: Robot time of the observation [s].
         values: (n + 2,) measured less expected; NaN where nothing new was measured.
         sigma: (n + 2,) their standard deviations, if the robot is as the twin.
-        sensitivities: (k, n + 2) change of the expected by one unit of each deviation.
+        sensitivities: (k, n + 2) change of the expected by one unit of each deviation; 0 of what
+            happens wholly or not at all.
         driving: Whether the rover drives, or did a moment ago.
         swinging: Whether its arm swings, or did a moment ago.
         refuted: (k,) deviations that cannot be, as the part moves that would stick or be blocked.
@@ -101,10 +98,11 @@ class ShadowConfig:
 class Shadow:
     """Runs beside one robot.
 
-    Beside the twin run copies of it, each with one deviation; all are driven by the same commands
-    and corrected by the same gain. So the difference of what two of them expect is what that
-    deviation would do to the twin's innovations, friction that sticks or slides included. Further
-    copies try out deviations of any size. A last one is corrected by nothing: it foresees.
+    Beside the twin run copies of it, each with one deviation that has a size; all are driven by the
+    same commands and corrected by the same gain. So the difference of what two of them expect is
+    what that deviation would do to the twin's innovations, friction that sticks or slides included.
+    Further copies try out deviations of any size, and what happens wholly or not at all. A last one
+    is corrected by nothing: it foresees.
 
     Args:
         model: The rover as drawn, made by `twin.shadow.deviations.shadow_scene`.
@@ -136,7 +134,10 @@ class Shadow:
         self._axes = np.array([model.actuator(f"{robot.name}/{name}").id for name in robot.axes])
         threads = self._config.threads
         count = len(self.deviations)
-        self._units = np.array([each.step for each in self.deviations])
+        #: Of the deviations, those that have a size.
+        self._sized = np.flatnonzero([not each.encoder for each in self.deviations])
+        self._units = np.array([self.deviations[each].step for each in self._sized])
+        self._usual = 1 + len(self._sized)
         #: (k, n) readings of the encoder of what sticks or is blocked.
         self._own = np.zeros((count, self._readings.size), dtype=bool)
         for row, each in zip(self._own, self.deviations):
@@ -169,7 +170,8 @@ class Shadow:
     def know(self, values: FloatArray) -> None:
         """Give the twin deviations (k,), as they were identified; the state stays."""
         self.known = np.array(values, dtype=float)
-        rows = np.vstack([self.known, self.known + np.diag(self._units), self.known])
+        rows = np.tile(self.known, (self._usual + 1, 1))
+        rows[np.arange(1, self._usual), self._sized] += self._units
         self._run(rows, [self._hasty(row) for row in rows])
         noise = self._config.noise
         if self._config.even:
@@ -185,7 +187,7 @@ class Shadow:
             values: (m, k) deviations of the copies.
             begin: (m,) the earlier copy from where each begins instead; None for the twin.
         """
-        usual = 1 + len(self.deviations)
+        usual = self._usual
         rows = np.vstack([self._rows[:usual], values, self._rows[-1:]])
         tried = [self._hasty(row) for row in values]
         from_where = None if begin is None else usual + np.asarray(begin, dtype=np.intp)
@@ -216,7 +218,7 @@ class Shadow:
         self._rows, self._models = happened(self.deviations, rows), models
         self._gravities = [model.opt.gravity for model in models]
         self._outer()
-        usual = 1 + len(self.deviations)
+        usual = self._usual
         begin = np.zeros(len(rows) - usual - 1, dtype=np.intp) if begin is None else begin
         self._states, self._grounds, self._tilts = (
             np.vstack([each[:usual], each[begin], each[-1:]])
@@ -295,15 +297,16 @@ class Shadow:
             self._swung = seen.time
         driving = seen.time - self._drove < LINGERING
         self._correct(np.nan_to_num(innovations), driving)
-        self._lead(measured[self.channels["arm_angles"]])
+        self._set_back(measured[self.channels["arm_angles"]])
         there = innovations[0, ~np.isnan(measured)] / self._gain.sigma[~np.isnan(measured)]
         square = float(there @ there) / max(1, len(there))
         # A number that is none: it was thrown out of the physics.
         square = min(square, (_CAPPED * LOST) ** 2) if math.isfinite(square) else math.inf
         self._missed += (square - self._missed) / _PATIENCE
-        usual = 1 + len(self.deviations)
         tilted = self._tilted(driving)
-        effects = [self._effects(expected[1:usual] - expected[0]), tilted[1:usual] - tilted[0]]
+        effects = np.hstack([expected, tilted])[: self._usual]
+        sensitivities = np.zeros((len(self.deviations), effects.shape[1]))
+        sensitivities[self._sized] = (effects[1:] - effects[0]) / self._units[:, None]
         values = np.hstack([innovations, -tilted if driving else np.full_like(tilted, np.nan)])
         if not self._config.even:
             values[:, [self.channels["centre_angle"].start, -2, -1]] = np.nan
@@ -311,11 +314,11 @@ class Shadow:
             seen.time,
             values[0],
             np.append(self._gain.sigma, [UNEVEN, UNEVEN]),
-            np.hstack(effects) / self._units[:, None],
+            sensitivities,
             driving,
             seen.time - self._swung < LINGERING,
             self._refuted(measured),
-            values[usual:-1],
+            values[self._usual : -1],
             innovations[-1],
         )
 
@@ -326,15 +329,6 @@ class Shadow:
             self._far += SERVO_PERIOD / FAR * (slopes[0] - self._far)
         return self._as_it_looks(slopes - self._far)
 
-    def _effects(self, effects: FloatArray) -> FloatArray:
-        """Return effects (k, n) less those of what sticks or is blocked that noise makes, too.
-
-        An arm that rests held by friction creeps in the twin by its encoders' noise; that they
-        stick would explain it.
-        """
-        small = self._own & (np.abs(effects) < TELLING * self._gain.sigma)
-        return np.where(small, 0.0, effects)
-
     def _refuted(self, measured: FloatArray) -> NDArray[np.bool_]:
         """Return which deviations (k,) cannot be: their part is measured (n,) to move."""
         rates = np.zeros(self._readings.size, dtype=bool)
@@ -343,12 +337,8 @@ class Shadow:
         moving = rates & (np.abs(np.nan_to_num(measured)) > MOVING * self._readings.sigma)
         return np.asarray((self._own & moving).any(axis=1))
 
-    def _lead(self, angles: FloatArray) -> None:
-        """Lead back to the twin the copies that no reading leads.
-
-        Those are of an encoder that sticks, and of a wheel that is blocked: what it is measured to
-        turn is not taken for its rover's way. Copies that are tried out for seconds are not led but
-        by an angle that is new: they have what the twin has not.
+    def _set_back(self, angles: FloatArray) -> None:
+        """Set back to the twin the copies whose encoder sticks, where it does not.
 
         Args:
             angles: Those of the arm as measured (joints,); NaN for none. One that is another than
@@ -357,16 +347,15 @@ class Shadow:
         held = self._held[self.channels["arm_angles"]]
         new = np.isfinite(angles) & (angles != held)
         held[new] = angles[new]
-        at_once = (self._stuck[:, self.channels["arm_angles"]] * new).any(axis=1)
-        shares = np.where(at_once, 1.0, SERVO_PERIOD / LEADING * self._led)[:-1, None]
+        moved = (self._stuck[:-1, self.channels["arm_angles"]] * new).any(axis=1)
         for each in (self._states, self._grounds, self._tilts):
-            each[:-1] += shares * (each[0] - each[:-1])
+            each[:-1][moved] = each[0]
 
     def _outer(self) -> None:
         """Set what is outside of the models.
 
         These are volts of each axis at full duty (m, axes), what readings are off by (m, n), which
-        of them stay (m, n), and the models that are led (m,), and whose rates are blocked.
+        of them stay (m, n), and the models whose rates are blocked.
         """
         rows, count = self._rows, len(self._rows)
         self._supply = np.tile(self.model.actuator_ctrlrange[self._axes, 1], (count, 1))
@@ -378,9 +367,6 @@ class Shadow:
             for (channel, number), share in deviation.reading.items():
                 self._bias[:, self.channels[channel].start + number] += share * column
         self._stuck = np.clip(rows[:, self._sticking] @ self._own[self._sticking], 0.0, 1.0)
-        wheels = self._own[:, self.channels["wheel_speeds"]].any(axis=1)
-        usual = np.arange(count) < 1 + len(self.deviations)
-        self._led = usual & (rows[:, wheels] > 0.0).any(axis=1)
         places = [(row, i, freedom) for i, freedom in self._blocking for row in range(count)]
         held = [(row, freedom) for row, i, freedom in places if rows[row, i] > 0.0]
         self._blocked = np.array(held, dtype=np.intp).reshape(-1, 2).T

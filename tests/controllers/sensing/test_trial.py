@@ -83,6 +83,14 @@ def test_what_is_larger_than_all_that_was_tried_out_is_tried_out_larger():
     assert trial.finding.size == pytest.approx(1.0, abs=0.1)
 
 
+def test_what_is_larger_than_all_that_was_tried_out_is_left_while_others_explain_more():
+    """A load of seven kilograms, of which five are tried out first; the other explains six."""
+    far = Change("spring", "1", CHANGES[0].direction, 1.5, 1, most=6.0)
+    found, _ = tried(Trial([CHANGES[0], far], LEARNED), BEFORE + 7.0 * CHANGES[0].direction)
+    assert found is not None and found.name == "load"
+    assert found.size == pytest.approx(7.0, abs=0.2)
+
+
 @pytest.mark.parametrize(("lost", "name"), [(0.7, "supply"), (1.0, "blocked")])
 def test_what_is_lost_wholly_has_a_name_of_its_own(lost, name):
     found, _ = tried(Trial([SUPPLY], LEARNED), BEFORE + lost * SUPPLY.direction)

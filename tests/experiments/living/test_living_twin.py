@@ -71,8 +71,9 @@ def test_what_is_suspected_by_what_is_linear_is_held_beside_what_was_named(tmp_p
     changed = [
         told(suspected="load base"), told(suspected=spring), told(suspected="load base"),
         told(found=spring, suspected="load base"), told(),
+        told("stuck elbow", "stuck elbow", suspected=spring),
     ]  # fmt: skip
-    found = measured(tmp_path, changed, [rover()] * 5, monkeypatch)
+    found = measured(tmp_path, changed, [rover()] * 6, monkeypatch)
     assert found["right_linear"]["mean"] == found["right_tried"]["mean"] == 0.75  # noqa: PLR2004
     assert (found["right_linear"]["n"], found["covered_linear"]["n"]) == (4, 3)
     assert (found["covered_linear"]["mean"], found["covered_tried"]["mean"]) == (0.0, 1.0)
