@@ -24,7 +24,7 @@ from perception.geometry.checks import check_numbers
 _MOST = 60.0  # Deviations for which a single miss counts at most.
 _STRANGE = 20.0  # Mean squared miss above which what the best twin misses counts as much, and the
 _LITTLE = 0.5  # share of what is missed without it above which that explains too little.
-_TELLING = 9.0  # Squared miss of the unchanged robot from which on what sticks misses less.
+_TELLING = 9.0  # Squared miss of the unchanged robot below which it may be noise.
 _STILL = 4  # Last blocks in each of which what is unknown is strange still.
 
 
@@ -177,7 +177,7 @@ class Trial:
         weights = count / self._learned.variances[kind]
         squares = np.square(mean) * weights
         # What sticks or is blocked expects readings to the bit: that it misses no noise is no news.
-        noise = np.minimum(squares[0], _TELLING)
+        noise = np.where(squares[0] < _TELLING, squares[0], 0.0)
         squares[1:] = np.maximum(squares[1:], self._whole[:, None] * noise)
         slope = slopes.mean(axis=0)
         self._information += (slope * weights[0]) @ slope.T

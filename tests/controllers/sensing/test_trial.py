@@ -117,6 +117,14 @@ def test_an_encoder_that_rests_has_not_stuck():
         assert trial.finding is None
 
 
+def test_what_sticks_explains_all_that_is_no_noise():
+    """Another change explains all but a twenty-fifth of it, which is more than noise."""
+    near = Change("supply", "1", CHANGES[3].direction, 0.5, 1, most=0.96)
+    true = BEFORE + CHANGES[3].direction
+    found, _ = tried(Trial([near, CHANGES[3]], LEARNED), true, strength=10.0)
+    assert found is not None and found.name == "stuck"
+
+
 def test_where_the_unchanged_robot_explains_what_is_measured_nothing_is_named():
     for seed in range(8):
         trial = Trial(CHANGES, LEARNED)
