@@ -41,7 +41,8 @@ class TrialConfig:
         most: Blocks after which the likeliest is, if no other is far less likely before.
         parts: Parts at most; one follows where the likeliest size is the first or last of its own.
         off: Standard deviation of a size by what models of such robots miss, over the size.
-        left: Ratio of likelihoods to the likeliest change above which a change is left.
+        left: Ratio of likelihoods to the likeliest change above which a change is left; one that
+            may be larger than all sizes that were tried out is left, too.
         decided: Ratio of likelihoods to the next one with which a change is named before `most`.
         needed: Logarithm of the ratio of likelihoods to no change, in the mean of the blocks of the
             later parts, from which on one is named at all: as no model is a robot, some change

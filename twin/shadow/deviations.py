@@ -43,8 +43,7 @@ class Deviation:
         name: Such as ``spring front_left``.
         unit: Unit of its number.
         spread: Standard deviation among new robots, and so what is known beforehand.
-        change: Standard deviation of what may happen to it later, about `usual`; 0 for what stays
-            as it was made.
+        change: Standard deviation of what may happen to it later; 0 for what stays as it was made.
         sign: 1 or -1 where it can then only grow or fall, as springs only get softer; 0 for both.
         step: Number with which its effect is calculated: large, as wheels lift and slide anew for
             every little difference.
@@ -54,7 +53,7 @@ class Deviation:
         encoder: Readings of the encoder of a part that sticks or is blocked, by channel and number;
             none for what else may differ.
         blocked: Joint that is blocked, by its name in the model; empty for what sticks.
-        usual: What happens to it later is usually of this size: 1 of what happens wholly or not.
+        usual: 1 of what happens wholly or not at all, which is tried out only; 0 of all else.
         most: Largest number, to either side, that there can be.
         wholly: What it is called where it is as large as that; empty if it is still itself.
     """
