@@ -48,7 +48,7 @@ class Change:
         direction: (k,) what one unit changes of each deviation.
         spread: How large it may well be, in its unit.
         sign: 1 or -1 for one whose size is above or below zero only; 0 for both.
-        usual: 1 of what happens wholly or not at all, which is tried out only; 0 of all else.
+        whole: Whether it happens wholly or not at all, and is tried out only.
         most: Largest size, to either side, that there can be.
         wholly: Name of the change that it is where it is as large as that, which happens wholly or
             not at all; empty if it is still itself.
@@ -59,7 +59,7 @@ class Change:
     direction: FloatArray
     spread: float
     sign: int = 0
-    usual: float = 0.0
+    whole: bool = False
     most: float = math.inf
     wholly: str = ""
 

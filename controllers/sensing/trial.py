@@ -3,7 +3,8 @@
 A change that is suspected is one that explains what a twin missed, as far as its innovations are
 linear in it. Then copies of the twin run that have it, in some sizes and later in others about the
 likeliest: what is blocked is blocked there, and a spring is as soft as it would be. The one that
-misses least of the next seconds is named, if without any the twin would miss much more.
+misses least of the next seconds is named, if without any the twin would miss much more. What a size
+between two that are tried out would miss lies between what these do.
 
 All of them deviate from the drawing as the unchanged robot was learned to. Misses are means over
 blocks, less what each reading is off by for good, over its long-run variance. Each counts as of
@@ -11,10 +12,12 @@ Student's distribution, by which a stone that no twin expects does not decide.
 """
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy.linalg
 
 from controllers.sensing.changes import Change, Learned
 from controllers.sensing.diagnosis import UNKNOWN, Finding
@@ -25,6 +28,7 @@ _MOST = 60.0  # Deviations for which a single miss counts at most.
 _STRANGE = 20.0  # Mean squared miss above which what the best twin misses counts as much, and the
 _LITTLE = 0.5  # share of what is missed without it above which that explains too little.
 _TELLING = 9.0  # Squared miss of the unchanged robot below which it may be noise.
+_APART = 0.06  # Logarithm of the ratio of two sizes that follow one another, at most.
 _STILL = 4  # Last blocks in each of which what is unknown is strange still.
 
 
@@ -36,6 +40,8 @@ class TrialConfig:
         block: Ticks over which misses are averaged.
         coarse: Sizes that are tried out at first, over how large a change may well be.
         fine: Sizes that are tried out then, over the likeliest of these.
+        settling: Blocks at first that count for nothing: what a change moved before, it moves in
+            the copies anew.
         first: Blocks of the first part, of which those changes are left that may be.
         least: Blocks of each later part before one is named.
         most: Blocks after which the likeliest is, if no other is far less likely before.
@@ -55,7 +61,8 @@ class TrialConfig:
 
     block: int = 25
     coarse: tuple[float, ...] = (0.2, 0.5, 1.0, 2.0, 5.0)
-    fine: tuple[float, ...] = (0.7, 0.85, 1.0, 1.15, 1.4)
+    fine: tuple[float, ...] = (0.75, 1.0, 1.35)
+    settling: int = 1
     first: int = 3
     least: int = 4
     most: int = 16
@@ -76,7 +83,12 @@ class TrialConfig:
         """
         names = "block", "first", "least", "most", "parts", "left", "decided", "needed", "freedom"
         check_numbers("trial", self, *names)
-        check_numbers("trial", self, "off", "smallest", "sure", zero=True)
+        check_numbers("trial", self, "settling", "off", "smallest", "sure", zero=True)
+        if self.first <= self.settling:
+            raise ValueError(
+                f"trial first = {self.first}: expected more blocks than the {self.settling} of "
+                "settling"
+            )
 
 
 class Trial:
@@ -133,14 +145,19 @@ class Trial:
             for size in sizes
         ]
         self.rows: FloatArray = self._learned.deviations + np.vstack([0.0 * added[0], *added])
-        #: (m,) which of them have what happens wholly or not at all.
+        #: Of each change, sizes of which it is told how likely they are.
+        self._between = [_between(each) for each in self._sizes]
+        #: (1 + g, 1 + m) by which what these miss follows from what is missed by those tried out.
+        between = [_shares(*each) for each in zip(self._between, self._sizes)]
+        self._shares: FloatArray = np.asarray(scipy.linalg.block_diag(1.0, *between))
+        #: (g,) which of them are of what happens wholly or not at all.
         self._whole = np.repeat(
-            [bool(each.usual) for each in self._changes], [len(each) for each in self._sizes]
+            [each.whole for each in self._changes], [len(each) for each in self._between]
         )
         #: Misses of this block's ticks.
         self._ticks: list[tuple[FloatArray, FloatArray, int]] = []
-        self._likely: FloatArray = np.zeros(len(self.rows))
-        self._squares: FloatArray = np.zeros(len(self.rows))
+        self._likely: FloatArray = np.zeros(len(self._shares))
+        self._squares: FloatArray = np.zeros(len(self._shares))
         count = len(self._learned.deviations)
         self._information: FloatArray = np.zeros((count, count))
         self._blocks, self._count = 0, 0
@@ -162,7 +179,10 @@ class Trial:
         missed = np.clip(missed / sigma - self._learned.offsets, -_MOST, _MOST)
         self._ticks.append((missed, sensitivities / sigma, kind))
         if len(self._ticks) == self._config.block:
-            self._take_block()
+            if self._parts > 1 or self._blocks >= self._config.settling:
+                self._take_block()
+            self._ticks = []
+            self._blocks += 1
             if self._parts > 1:
                 self._judge()
             elif self._blocks == self._config.first:
@@ -171,29 +191,27 @@ class Trial:
     def _take_block(self) -> None:
         missed, slopes = (np.array([each[at] for each in self._ticks]) for at in (0, 1))
         kind = int(np.bitwise_or.reduce([kind for _, _, kind in self._ticks]))
-        self._ticks = []
         there = np.isfinite(missed)
-        count = there.sum(axis=0)
-        mean = np.where(there, missed, 0.0).sum(axis=0) / np.maximum(count, 1)
+        count = there[:, 0].sum(axis=0)
+        mean = self._shares @ (np.where(there, missed, 0.0).sum(axis=0) / np.maximum(count, 1))
         weights = count / self._learned.variances[kind]
         squares = np.square(mean) * weights
         # What sticks or is blocked expects readings to the bit: that it misses no noise is no news.
         noise = np.where(squares[0] < _TELLING, squares[0], 0.0)
         squares[1:] = np.maximum(squares[1:], self._whole[:, None] * noise)
         slope = slopes.mean(axis=0)
-        self._information += (slope * weights[0]) @ slope.T
+        self._information += (slope * weights) @ slope.T
         freedom = self._config.freedom
         self._likely -= 0.5 * (freedom + 1.0) * np.log1p(squares / freedom).sum(axis=1)
         self._squares += squares.sum(axis=1)
-        measured = int(np.count_nonzero(count[0]))
+        measured = int(np.count_nonzero(count))
         self._count += measured
         self._without.append(float(squares[0].sum()) / max(1, measured))
-        self._blocks += 1
         self._later += self._parts > 1
 
     def _told(self) -> tuple[list[FloatArray], list[float]]:
         """Return how likely each size is in this part, and each change over no change in all."""
-        parts = np.split(self._likely[1:], np.cumsum([len(each) for each in self._sizes])[:-1])
+        parts = np.split(self._likely[1:], np.cumsum([len(each) for each in self._between])[:-1])
         means = [float(np.logaddexp.reduce(part)) - math.log(len(part)) for part in parts]
         without = float(self._likely[0])
         return parts, [each + mean - without for each, mean in zip(self._told_before, means)]
@@ -205,13 +223,14 @@ class Trial:
         left: list[tuple[Change, float]] = []
         rows, before, row = list[int](), list[float](), 1
         for index, (change, part, each) in enumerate(zip(self._changes, parts, likely)):
+            tried = self._sizes[index]
             # How likely one is that may be larger than all sizes that were tried out is not known.
             if each > limit or self._larger(index, part):
                 left.append((change, self._next(index, part)))
-                rows.append(row + int(np.argmax(part)))
+                rows.append(row + int(np.argmin(np.abs(tried - self._likeliest(index, part)))))
                 # The first part's sizes are far apart: one that lies between them counts for less.
                 before.append(each if self._parts > 1 else 0.0)
-            row += len(part)
+            row += len(tried)
         self._parts += 1
         self._try(left, self._config.fine, before)
         self.begin = [0, *np.repeat(rows, [len(each) for each in self._sizes]).tolist()]
@@ -220,7 +239,11 @@ class Trial:
         """Return about what size a change is tried out next: beyond the largest, if it is that."""
         if self._parts > 1 and self._larger(index, likely):
             return float(self._sizes[index][-1]) * math.sqrt(self._config.fine[-1])
-        return peak(self._sizes[index], likely)[0]
+        return self._likeliest(index, likely)
+
+    def _likeliest(self, index: int, likely: FloatArray) -> float:
+        """Return the likeliest size of a change."""
+        return float(self._between[index][int(np.argmax(likely))])
 
     def _judge(self) -> None:
         """End the trial, if it can be told what came of it."""
@@ -257,28 +280,28 @@ class Trial:
     def _larger(self, best: int, likely: FloatArray) -> bool:
         """Return whether a change may be larger than all sizes that were tried out."""
         last = len(likely) - 1
-        may_be = abs(float(self._sizes[best][last])) < self._changes[best].most
+        may_be = abs(float(self._sizes[best][-1])) < self._changes[best].most
         return last > 0 and may_be and int(np.argmax(likely)) == last
 
     def _found(self, best: int, likely: FloatArray) -> Finding:
         """Return a change with its size, by the likelihood of each that was tried out."""
-        row = 1 + sum(len(each) for each in self._sizes[:best]) + int(np.argmax(likely))
+        row = 1 + sum(len(each) for each in self._between[:best]) + int(np.argmax(likely))
         misfit, without = self._squares[[row, 0]] / max(1, self._count)
         change = self._changes[best]
-        size, sigma = peak(self._sizes[best], likely)
-        off = 0.0 if change.usual else self._config.off * size
+        size, sigma = mean_size(self._between[best], likely)
+        off = 0.0 if change.whole else self._config.off * size
         sigma = math.sqrt(sigma**2 * max(1.0, float(misfit)) + self._before(change) + off**2)
         explains_little = misfit > max(_STRANGE, _LITTLE * without)
         name = UNKNOWN if explains_little else change.name
         beyond = math.sqrt(2.0 * max(0.0, float(likely.max() - self._likely[0])))
-        likeliest = abs(float(self._sizes[best][int(np.argmax(likely))]))
-        if name == change.name and change.wholly and likeliest >= change.most:
+        wholly = abs(self._likeliest(best, likely)) >= change.most
+        if name == change.name and change.wholly and wholly:
             return Finding(change.wholly, 1.0, 0.0, beyond)
         return Finding(name, size, sigma, beyond)
 
     def _before(self, change: Change) -> float:
         """Return the variance of a size by what the robot deviated by before."""
-        if change.usual:
+        if change.whole:
             return 0.0
         pull = self._information @ change.direction
         share = pull / max(float(change.direction @ pull), 1e-12)
@@ -287,38 +310,41 @@ class Trial:
 
 def _signs(change: Change) -> tuple[float, ...]:
     """Return to which sides of zero a change may be."""
-    return (float(change.sign),) if change.sign else (1.0,) if change.usual else (-1.0, 1.0)
+    return (float(change.sign),) if change.sign else (1.0,) if change.whole else (-1.0, 1.0)
 
 
 def _sizes(change: Change, size: float, shares: Sequence[float]) -> FloatArray:
     """Return the sizes of a change that are tried out."""
-    if change.usual:
-        return np.array([change.usual])
+    if change.whole:
+        return np.ones(1)
     sizes = np.unique(np.minimum(np.array(shares) * abs(size), change.most))
     return math.copysign(1.0, size) * sizes
 
 
-def peak(sizes: FloatArray, likely: FloatArray) -> tuple[float, float]:
-    """Return the likeliest size and its standard deviation.
+def _between(sizes: FloatArray) -> FloatArray:
+    """Return sizes (m,), and others between them."""
+    parts = [
+        np.geomspace(low, high, 1 + math.ceil(abs(math.log(high / low)) / _APART))[:-1]
+        for low, high in itertools.pairwise(sizes.tolist())
+    ]
+    return np.concatenate([*parts, sizes[-1:]])
+
+
+def _shares(sizes: FloatArray, tried: FloatArray) -> FloatArray:
+    """Return shares (g, m) of those tried out (m,) by which sizes (g,) lie between them."""
+    return np.column_stack(
+        [np.interp(np.abs(sizes), np.abs(tried), each) for each in np.eye(len(tried))]
+    )
+
+
+def mean_size(sizes: FloatArray, likely: FloatArray) -> tuple[float, float]:
+    """Return the mean size and its standard deviation.
 
     Args:
-        sizes: (m,) sizes that were tried out, all of one sign, in order.
+        sizes: (m,) sizes, all of one sign, about the same ratio apart.
         likely: (m,) logarithm of the likelihood of each.
-
-    Returns:
-        Top and width of the parabola through the likeliest and its neighbours, over the logarithm
-        of the size; beyond the first and the last no farther than half of what lies before. Where
-        it has no top, the likeliest, give or take what lies between sizes.
     """
-    best = int(np.argmax(likely))
-    if len(sizes) < 3:  # noqa: PLR2004
-        return float(sizes[best]), 0.0
-    middle = min(max(best, 1), len(sizes) - 2)
-    logs = np.log(np.abs(sizes[middle - 1 : middle + 2] / sizes[best]))
-    bend, slope, _ = np.polyfit(logs, likely[middle - 1 : middle + 2], 2)
-    apart = float(np.ptp(logs)) / 2.0
-    if bend >= -0.5 / apart**2:
-        return float(sizes[best]), abs(float(sizes[best])) * apart
-    top = float(np.clip(-0.5 * slope / bend, -0.5 * apart, 0.5 * apart))
-    size = float(sizes[best]) * math.exp(top)
-    return size, abs(size) * float((-2.0 * bend) ** -0.5)
+    weights = np.exp(likely - likely.max())
+    weights /= weights.sum()
+    mean = float(weights @ sizes)
+    return mean, math.sqrt(float(weights @ np.square(sizes - mean)))

@@ -140,7 +140,10 @@ class TwinBeside:
              for each, fixed in zip(self.deviations, wander)]
         )  # fmt: skip
         self._by_name = {each.name: each for each in self._changes}
-        felt = [each for each in self._changes if each.name not in TILTS and not each.usual]
+        # A zero that jumps or drifts shows beside other sensors; here it looks like much else.
+        felt = [
+            each for each in self._changes if not each.whole and not each.name.startswith("zero")
+        ]
         self._detector = ChangeDetector(spreads, felt, self._config, walks)
         noise, at = self.shadow.noise, self.shadow.channels
         angle, rate, force = (
@@ -350,7 +353,7 @@ def changes_of(deviations: Sequence[Deviation]) -> list[Change]:
     rows = np.eye(len(deviations))
     single = [
         Change(
-            each.name, each.unit, row, each.change, each.sign, each.usual, each.most, each.wholly
+            each.name, each.unit, row, each.change, each.sign, each.whole, each.most, each.wholly
         )
         for each, row in zip(deviations, rows)
         if each.change > 0.0

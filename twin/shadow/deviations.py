@@ -53,7 +53,7 @@ class Deviation:
         encoder: Readings of the encoder of a part that sticks or is blocked, by channel and number;
             none for what else may differ.
         blocked: Joint that is blocked, by its name in the model; empty for what sticks.
-        usual: 1 of what happens wholly or not at all, which is tried out only; 0 of all else.
+        whole: Whether it happens wholly or not at all, and is tried out only.
         most: Largest number, to either side, that there can be.
         wholly: What it is called where it is as large as that; empty if it is still itself.
     """
@@ -71,7 +71,7 @@ class Deviation:
     )
     encoder: Sequence[tuple[str, int]] = ()
     blocked: str = ""
-    usual: float = 0.0
+    whole: bool = False
     most: float = math.inf
     wholly: str = ""
 
@@ -151,7 +151,7 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
     for joint in robot.arm.joints if robot.arm else ():
         friction = _friction(f"{name}/{joint.name}_joint")
         spread = TOLERANCES.joint_friction * _UNIFORM * joint.friction
-        found.append(Deviation(f"drag {joint.name}", "N m", spread, 0.3, 1, 0.05, friction))
+        found.append(Deviation(f"drag {joint.name}", "N m", spread, 0.5, 1, 0.05, friction))
     for axis in robot.axes:
         supply = Deviation(f"supply {axis}", "1", 0.05, 0.4, 1, 0.2, supply={axis: 1.0})
         found.append(dataclasses.replace(supply, most=WEAKEST, wholly=f"blocked {axis}"))
@@ -171,7 +171,7 @@ def rover_deviations(robot: RobotDescription) -> list[Deviation]:
         for number, joint in enumerate(robot.joint_names)
     }
     for part, readings in encoders.items():
-        whole = Deviation("", "1", 0.02, 0.2, 0, 1.0, encoder=readings, usual=1.0)
+        whole = Deviation("", "1", 0.02, 0.2, 0, 1.0, encoder=readings, whole=True)
         found.append(dataclasses.replace(whole, name=f"stuck {part}"))
         joint = f"{name}/{part}_joint"
         write = _block(joint)

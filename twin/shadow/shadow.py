@@ -22,6 +22,7 @@ from twin.robot import Command, Observation
 from twin.servo import SERVO_PERIOD
 from twin.shadow.deviations import Deviation, deviating, happened, hasten
 from twin.shadow.gain import ShadowNoise, SteadyGain, settle
+from twin.shadow.ground import EvenGround
 from twin.shadow.readings import Readings
 
 MOST_LOST = 10
@@ -42,8 +43,6 @@ LINGERING = 0.5
 """Time after a drive until a rover stands [s]."""
 BEGINNING = 2.0
 """Time in which the twin comes to rest before it begins [s]."""
-FAR = 20.0
-"""Time constant of the mean slope of the ground that was driven over [s]."""
 UNEVEN = 0.02
 """Standard deviation that the ground's slope may have about that [rad]; a detector learns it."""
 
@@ -156,8 +155,7 @@ class Shadow:
         self._states: FloatArray = np.eye(size)[4:5]
         #: Slope in pitch and roll, as the world looks, and twist, of each.
         self._grounds: FloatArray = np.zeros((1, 3))
-        #: Mean slope that the twin drove over, as the world looks.
-        self._far: FloatArray = np.zeros(2)
+        self._driven_over = EvenGround()
         self._tilts: FloatArray = np.zeros((1, 2))
         self._twisted = False
         self.know(np.zeros(count))
@@ -181,7 +179,7 @@ class Shadow:
     def try_out(self, values: FloatArray, begin: Sequence[int] | None = None) -> None:
         """Let copies run from where the twin is, instead of earlier ones.
 
-        On even ground they begin on what it drove over in the mean.
+        On even ground they begin on that which it drove over.
 
         Args:
             values: (m, k) deviations of the copies.
@@ -194,13 +192,14 @@ class Shadow:
         self._run(rows, [*self._models[:usual], *tried, self._models[-1]], from_where)
         if begin is None and self._config.even:
             # What a change did looked like a slope, too.
-            self._grounds[usual:-1, :2] = self._far
+            self._grounds[usual:-1, :2] = self._driven_over.taken(float(self._headings[0]))
             self._tilt_gravity()
 
     def foresee(self, values: FloatArray) -> None:
         """Begin to predict from where the twin is, with deviations (k,), as the robot has them."""
         rows = np.vstack([self._rows[:-1], values])
-        self._run(rows, [*self._models[:-1], self._hasty(values)])
+        stay = np.arange(self._usual, len(self._models) - 1)
+        self._run(rows, [*self._models[:-1], self._hasty(values)], stay)
         for each in (self._states, self._grounds, self._tilts):
             each[-1] = each[0]
         self._tilt_gravity()
@@ -326,8 +325,8 @@ class Shadow:
         """Return slopes (m, 2) less that of the ground which was driven over, and learn this."""
         slopes = self._grounds[:, :2]
         if driving:
-            self._far += SERVO_PERIOD / FAR * (slopes[0] - self._far)
-        return self._as_it_looks(slopes - self._far)
+            self._driven_over.drive(slopes[0], float(self._headings[0]))
+        return self._as_it_looks(slopes - self._driven_over.slope)
 
     def _refuted(self, measured: FloatArray) -> NDArray[np.bool_]:
         """Return which deviations (k,) cannot be: their part is measured (n,) to move."""
@@ -397,7 +396,7 @@ class Shadow:
             # What is left of it on even ground is how it was made.
             self._twisted = True
             self._grounds[:, 2:] = seen.centre_angle.value - data.qpos[self._readings.centre[:1]]
-        self._far = self._grounds[0, :2].copy()
+        self._driven_over.begin(self._grounds[0, :2])
         self._tilts = np.tile(tilt, (count, 1)) + self._grounds[:, :2]
         self._tilt_gravity()
         return True

@@ -5,7 +5,7 @@ import pytest
 
 from controllers.sensing.changes import KINDS, Change, Learned
 from controllers.sensing.diagnosis import UNKNOWN
-from controllers.sensing.trial import Trial, TrialConfig, peak
+from controllers.sensing.trial import Trial, TrialConfig, mean_size
 
 READINGS, COUNT = 6, 4
 SIGMA = np.array([0.1, 1.0, 0.5, 2.0, 0.02, 3.0])
@@ -16,7 +16,7 @@ CHANGES = [
     Change("load", "kg", np.eye(COUNT)[0], 1.0, 1),
     Change("spring", "1", np.eye(COUNT)[1], 0.5, -1, most=1.0),
     Change("zero", "rad", np.eye(COUNT)[2], 0.3),
-    Change("stuck", "1", np.eye(COUNT)[3], 0.2, usual=1.0),
+    Change("stuck", "1", np.eye(COUNT)[3], 0.2, whole=True),
 ]
 SUPPLY = Change("supply", "1", np.eye(COUNT)[1], 0.3, 1, most=0.9, wholly="blocked")
 
@@ -202,24 +202,43 @@ def test_sizes_are_of_the_changes_sign_and_no_larger_than_there_may_be():
     np.testing.assert_allclose(trial.rows[0], BEFORE)
 
 
-@pytest.mark.parametrize("top", [0.9, 1.3, 1.9])
-def test_peak_of_a_parabola_over_the_logarithm_is_its_top_and_width(top):
-    sizes = np.array([0.5, 0.8, 1.0, 1.4, 2.0])
-    likely = 3.0 - 0.5 * (np.log(sizes / top) / 0.2) ** 2
-    assert peak(sizes, likely) == pytest.approx((top, 0.2 * top))
-    assert peak(-sizes, likely) == pytest.approx((-top, 0.2 * top))
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_mean_size_of_a_lognormal_likelihood_is_its_mean_and_deviation(sign):
+    sizes = np.geomspace(0.1, 10.0, 400)
+    likely = 3.0 - 0.5 * (np.log(sizes / 1.3) / 0.2) ** 2
+    mean = 1.3 * np.exp(0.5 * 0.2**2)
+    sigma = mean * np.sqrt(np.exp(0.2**2) - 1.0)
+    assert mean_size(sign * sizes, likely) == pytest.approx((sign * mean, sigma), rel=1e-3)
+    assert mean_size(np.array([sign]), np.array([-4.0])) == (sign, 0.0)
 
 
-def test_peak_beyond_the_sizes_is_near_the_last_of_them():
-    sizes = np.array([1.0, 2.0, 4.0])
-    found, _ = peak(sizes, -0.5 * (np.log(sizes / 50.0) / 0.5) ** 2)
-    assert found == pytest.approx(4.0 * 2.0**0.5)
+def test_a_size_between_two_that_are_tried_out_misses_what_lies_between():
+    """Half way between the first part's sizes: both miss 8 deviations, to either side."""
+    trial, tick = Trial(CHANGES[:1], LEARNED), 0
+    first = trial.rows
+    while trial.rows is first:
+        missed = 16.0 * SIGMA * (1.5 - (trial.rows - BEFORE)[:, :1]) * np.ones(READINGS)
+        trial.step(missed, SIGMA, slopes(tick), 0)
+        tick += 1
+    found = (trial.rows - BEFORE)[1:, 0]
+    assert found[1] == pytest.approx(1.5, rel=0.03)
 
 
-def test_peak_without_a_top_is_the_likeliest_give_or_take_what_lies_between():
-    found = peak(np.array([1.0, 2.0, 4.0]), np.array([0.0, 1e-3, 2e-3]))
-    assert found == pytest.approx((4.0, 4.0 * np.log(2.0)))
-    assert peak(np.array([1.0]), np.array([-4.0])) == (1.0, 0.0)
+def test_what_the_copies_miss_as_they_begin_counts_for_nothing():
+    """All copies with a load miss 60 deviations in the first block; a spring explains some."""
+    trial, tick = Trial(CHANGES[:2], LEARNED), 0
+    while not trial.over:
+        loads, springs = (trial.rows - BEFORE).T[:2, :, None]
+        by = 1.5 * (1.0 - loads) + springs - 60.0 * (loads > 0.0) * (tick < 25)
+        trial.step(by * SIGMA * np.ones(READINGS), SIGMA, slopes(tick), 0)
+        tick += 1
+    assert trial.finding is not None and trial.finding.name == "load"
+    assert trial.finding.size == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_first_part_that_counts_nothing_is_refused():
+    with pytest.raises(ValueError, match="trial first = 2: expected more blocks than the 2"):
+        TrialConfig(first=2, settling=2)
 
 
 def test_what_readings_are_off_by_for_good_is_no_change():

@@ -160,9 +160,9 @@ def test_other_rovers_have_no_twin(other):
 def test_springs_soften_motors_weaken_zeros_drift_both_ways_and_what_sticks_does_so_wholly():
     kinds = {}
     for each in changes_of(rover_deviations(describe_rover(ROBOT))):
-        kinds.setdefault(each.name.split()[0], set()).add((each.sign, each.usual))
+        kinds.setdefault(each.name.split()[0], set()).add((each.sign, each.whole))
     assert kinds == {
-        "load": {(1, 0.0)}, "spring": {(-1, 0.0)}, "drag": {(1, 0.0)}, "grip": {(-1, 0.0)},
-        "supply": {(1, 0.0)}, "battery": {(1, 0.0)}, "zero": {(0, 0.0)}, "blocked": {(0, 1.0)},
-        "stuck": {(0, 1.0)},
+        "load": {(1, False)}, "spring": {(-1, False)}, "drag": {(1, False)}, "grip": {(-1, False)},
+        "supply": {(1, False)}, "battery": {(1, False)}, "zero": {(0, False)},
+        "blocked": {(0, True)}, "stuck": {(0, True)},
     }  # fmt: skip
