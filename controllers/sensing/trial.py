@@ -70,7 +70,7 @@ class TrialConfig:
     off: float = 0.1
     left: float = 1e-20
     decided: float = 1e6
-    needed: float = 3.0
+    needed: float = 7.0
     smallest: float = 0.4
     sure: float = 2.0
     freedom: float = 4.0
