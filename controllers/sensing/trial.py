@@ -25,8 +25,8 @@ from perception.geometry.arrays import FloatArray
 from perception.geometry.checks import check_numbers
 
 _MOST = 60.0  # Deviations for which a single miss counts at most.
-_STRANGE = 20.0  # Mean squared miss above which what the best twin misses counts as much, and the
-_LITTLE = 0.5  # share of what is missed without it above which that explains too little.
+_LITTLE = 0.5  # Share of what the unchanged robot misses above which a change explains too little.
+_STRANGE = 20.0  # Mean squared miss above which what no change explains is told, too.
 _TELLING = 9.0  # Squared miss of the unchanged robot below which it may be noise.
 _APART = 0.06  # Logarithm of the ratio of two sizes that follow one another, at most.
 _STILL = 4  # Last blocks in each of which what is unknown is strange still.
@@ -264,13 +264,7 @@ class Trial:
             return
         self.over = enough or self._blocks >= config.most
         if self.over and needed:
-            found = self._found(best, parts[best])
-            # What is strange for a while only was a stone.
-            unknown = found.name == UNKNOWN and min(self._without[-_STILL:]) > _STRANGE
-            smallest = config.smallest * self._changes[best].spread
-            large = abs(found.size) >= max(smallest, config.sure * found.sigma)
-            if unknown or (large and found.name != UNKNOWN):
-                self.finding = found
+            self.finding = self._found(best, parts[best])
 
     def _beyond(self, best: int, likely: FloatArray) -> bool:
         """Return whether a change may be larger or smaller than all sizes that were tried out."""
@@ -283,21 +277,29 @@ class Trial:
         may_be = abs(float(self._sizes[best][-1])) < self._changes[best].most
         return last > 0 and may_be and int(np.argmax(likely)) == last
 
-    def _found(self, best: int, likely: FloatArray) -> Finding:
-        """Return a change with its size, by the likelihood of each that was tried out."""
+    def _found(self, best: int, likely: FloatArray) -> Finding | None:
+        """Return a change with its size, by the likelihood of each that was tried out.
+
+        Returns:
+            The change; that it is unknown, where it explains too little of what is strange; None
+            where it explains too little of what is not, or may as well be none.
+        """
         row = 1 + sum(len(each) for each in self._between[:best]) + int(np.argmax(likely))
-        misfit, without = self._squares[[row, 0]] / max(1, self._count)
-        change = self._changes[best]
+        misfit, without = (self._squares[[row, 0]] / max(1, self._count)).tolist()
+        config, change = self._config, self._changes[best]
         size, sigma = mean_size(self._between[best], likely)
-        off = 0.0 if change.whole else self._config.off * size
-        sigma = math.sqrt(sigma**2 * max(1.0, float(misfit)) + self._before(change) + off**2)
-        explains_little = misfit > max(_STRANGE, _LITTLE * without)
-        name = UNKNOWN if explains_little else change.name
+        off = 0.0 if change.whole else config.off * size
+        sigma = math.sqrt(sigma**2 * max(1.0, misfit) + self._before(change) + off**2)
         beyond = math.sqrt(2.0 * max(0.0, float(likely.max() - self._likely[0])))
-        wholly = abs(self._likeliest(best, likely)) >= change.most
-        if name == change.name and change.wholly and wholly:
+        if misfit > _LITTLE * without:
+            # What is strange for a while only was a stone.
+            strange = min(misfit, *self._without[-_STILL:]) > _STRANGE
+            return Finding(UNKNOWN, size, sigma, beyond) if strange else None
+        if abs(size) < max(config.smallest * change.spread, config.sure * sigma):
+            return None
+        if change.wholly and abs(self._likeliest(best, likely)) >= change.most:
             return Finding(change.wholly, 1.0, 0.0, beyond)
-        return Finding(name, size, sigma, beyond)
+        return Finding(change.name, size, sigma, beyond)
 
     def _before(self, change: Change) -> float:
         """Return the variance of a size by what the robot deviated by before."""
