@@ -47,7 +47,8 @@ class FrictionMap:
         points = np.asarray(points, dtype=float)
         flat = np.ascontiguousarray(points[..., :2].reshape(-1, 2))
         found = np.empty((len(flat), 1))
-        _look_up(flat, np.arange(len(flat)), self.coefficients, *self.size, found)
+        whole = np.ones(len(flat))
+        _look_up(flat, np.arange(len(flat)), whole, self.coefficients, *self.size, found)
         return found.reshape(points.shape[:-1])
 
 
@@ -92,6 +93,7 @@ class TyreFriction:
         self._tyres = np.array(
             [i for i in range(model.ngeom) if model.geom(i).name.endswith(TYRE)], dtype=np.intp
         )
+        self._left: FloatArray = np.ones(len(self._tyres))
         self._friction = model.geom_friction
 
     @classmethod
@@ -109,6 +111,15 @@ class TyreFriction:
         coefficients = np.array(values).reshape(round(rows), round(columns))
         return cls(model, FrictionMap((x, y), coefficients))
 
+    def wear(self, tyre: str, lost: float) -> None:
+        """Let a tyre lose a share of its friction, on all ground from the next update on.
+
+        Args:
+            tyre: Name of its geom.
+            lost: Share of the friction that it has.
+        """
+        self._left[self._tyres == self._model.geom(tyre).id] *= 1.0 - lost
+
     def update(self, data: mujoco.MjData) -> None:
         """Set the friction that the next contacts of the tyres will have.
 
@@ -120,8 +131,8 @@ class TyreFriction:
             data: State of the scene; what MuJoCo derives from its positions is computed anew.
         """
         mujoco.mj_kinematics(self._model, data)
-        ground = self._map
-        _look_up(data.geom_xpos, self._tyres, ground.coefficients, *ground.size, self._friction)
+        ground, where = self._map, data.geom_xpos
+        _look_up(where, self._tyres, self._left, ground.coefficients, *ground.size, self._friction)
 
 
 @numba.njit(cache=True, inline="always")
@@ -134,17 +145,18 @@ def _within(place: float, count: int) -> int:
 def _look_up(
     points: FloatArray,
     which: IndexArray,
+    shares: FloatArray,
     coefficients: FloatArray,
     length: float,
     width: float,
     found: FloatArray,
 ) -> None:
-    """Write the coefficient at some of the points (N, 2 or more) into the first of their columns.
+    """Write shares of the coefficients at some of the points (N, 2 or more) to their first columns.
 
     Compiled, since it runs every tick: NumPy's calls would take 2 to 4 % of two rovers' physics.
     """
     rows, columns = coefficients.shape
-    for i in which:
+    for i, share in zip(which, shares):
         row = _within((points[i, 1] / width + 0.5) * rows, rows)
         column = _within((points[i, 0] / length + 0.5) * columns, columns)
-        found[i, 0] = coefficients[row, column]
+        found[i, 0] = share * coefficients[row, column]

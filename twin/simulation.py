@@ -15,7 +15,7 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
-from models.ground_friction import TyreFriction
+from models.ground_friction import TYRE, TyreFriction
 from perception.geometry.arrays import FloatArray
 from twin.camera import StereoConfig, StereoHead, StereoState, named_index
 from twin.describe import describe_rover
@@ -361,6 +361,21 @@ class Simulation:
         """
         if self._tyres is not None:
             self._tyres.update(self.data)
+
+    def wear(self, robot: str, wheel: str, lost: float) -> float:
+        """Let a tyre lose a share of its friction, on any ground; returns what that was.
+
+        Args:
+            robot: Name of the robot.
+            wheel: Name of the wheel.
+            lost: Share of the friction that it has.
+        """
+        tyre = f"{robot}/{wheel}{TYRE}"
+        before = float(self.model.geom(tyre).friction[0])
+        self.model.geom(tyre).friction[0] = (1.0 - lost) * before
+        if self._tyres is not None:
+            self._tyres.wear(tyre, lost)
+        return before
 
     def sense(self) -> None:
         """Sample the sensors; part of `tick`, for owners of the physics.

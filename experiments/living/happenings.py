@@ -50,10 +50,9 @@ def happen(
         case "grip":
             wheels = one.description.wheel_names if part == "all" else (part,)
             shares: list[float] = []
-            for tyre in (f"{robot}/{wheel}_tyre" for wheel in wheels):
-                lost = size * float(model.geom(tyre).friction[0])
-                model.geom(tyre).friction[0] -= lost
-                shares.append(-lost / float(drawn.geom(tyre).friction[0]))
+            for wheel in wheels:
+                lost = size * simulation.wear(robot, wheel, size)
+                shares.append(-lost / float(drawn.geom(f"{robot}/{wheel}_tyre").friction[0]))
             return float(np.mean(shares))
         case "loose":
             _turn_camera(model, f"{robot}/stereo_right", size)

@@ -22,6 +22,7 @@ from experiments.living.missions import (
 )
 from experiments.mission.scene import SLAVE
 from models.compose import RobotPlacement
+from models.configuration import FieldConfig
 from twin.connect import connect
 
 
@@ -29,6 +30,7 @@ def tick(time):
     return types.SimpleNamespace(time=time, observations={SLAVE: None}, applied={SLAVE: None})
 
 
+@pytest.mark.parametrize("patches", [None, (0.5, 0.5)])
 @pytest.mark.parametrize(
     ("change", "what"),
     [
@@ -37,9 +39,10 @@ def tick(time):
         ("grip", lambda model: model.geom(f"{SLAVE}/rear_left_tyre").friction[0]),
     ],
 )
-def test_it_happens_to_the_slave_once_midway(change, what):
+def test_it_happens_to_the_slave_once_midway_and_for_good(change, what, patches):
     _, size = CHANGES[change]
-    with connect("sim", robots=[RobotPlacement(SLAVE, card=True)], seed=1) as connection:
+    placed, field = RobotPlacement(SLAVE, card=True), FieldConfig(friction_patches=patches)
+    with connect("sim", robots=[placed], field=field, seed=1) as connection:
         ended = []
         mission = types.SimpleNamespace(
             connection=connection, team=types.SimpleNamespace(ended=ended)
@@ -52,6 +55,7 @@ def test_it_happens_to_the_slave_once_midway(change, what):
         ended += ["identify", "search", MIDWAY]
         for time in (2.0, 3.0):
             happening.record(tick(time))
+            connection.simulation.tick()
         expected = before + size if change == "load" else before * (1.0 - size)
         assert what(model) == pytest.approx(expected)
         assert happening.time == 2.0  # noqa: PLR2004

@@ -108,6 +108,22 @@ def test_each_tyre_has_the_friction_of_the_ground_below_it_and_nothing_else_has(
     np.testing.assert_array_equal(model.geom_friction[:, 1:], before[:, 1:])
 
 
+def test_a_worn_tyre_keeps_its_share_on_every_patch():
+    field = dataclasses.replace(PATCHY, friction_patch=0.2)
+    robots = [RobotPlacement("rover1", (0.1, -0.2), 0.4)]
+    model, ground = make_model(field, robots), make_terrain(field, robots)
+    data, feels = settle(model, 0.1), TyreFriction.of(model)
+    feels.wear("rover1/rear_left_tyre", 0.5)
+    feels.wear("rover1/rear_left_tyre", 0.2)
+    where = tyres(model)
+    for moved in (0.0, 0.5, -0.7):
+        data.qpos[0] += moved
+        feels.update(data)
+        shares = [0.4 if wheel == "rear_left" else 1.0 for wheel in WHEELS]
+        wanted = ground.friction_at(data.geom_xpos[where, :2]) * shares
+        np.testing.assert_allclose(model.geom_friction[where, 0], wanted)
+
+
 @pytest.fixture(scope="module")
 def hillside():
     """A slope of 10 degrees along y whose patches of 2 m have 0.05 to 0.4."""
