@@ -23,7 +23,8 @@ class Options(HandOptions):
             serial:PORT[,NAME=VALUE...]. It is activated on the page alone.
         learning: Time for which the rover is only learned, before changes are looked for [s].
         rough: The ground is uneven, or more slippery here than there: there neither less grip nor a
-            tilt or twist is a change. On even ground, level or not, a soft spring shows by these.
+            tilt or twist is a change, and what is tried out is named where the seconds after that
+            tell the same. On even ground, level or not, a soft spring shows by these.
         out: Folder of what is written; of a rover that is owned the history too, with which the
             next run goes on.
         live: Also show the twin's recording in the rerun viewer as it grows: in a window, or

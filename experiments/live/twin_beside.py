@@ -101,7 +101,8 @@ class TwinBeside:
         memory: What is known of it already; None for nothing.
         threads: Count of threads that share its models.
         rough: Whether the ground is uneven and has patches of friction, on which neither less grip
-            nor a tilt or twist is a change.
+            nor a tilt or twist is a change, and what is tried out is named only where the seconds
+            after that tell the same.
 
     Attributes:
         drawn: The rover as drawn.
@@ -157,6 +158,10 @@ class TwinBeside:
         self._eyes = LooseCamera(self.drawn.head.camera) if self.drawn.head else None
         self._looked = -math.inf
         self._trial: Trial | None = None
+        self._suspects: list[Change] = []
+        self._rough = rough
+        #: What the trial before told, that is to be told twice.
+        self._once = ""
         if memory is not None:
             if memory.names != tuple(each.name for each in self.deviations):
                 raise ValueError(f"{placed.name}: what is known is of a twin with other deviations")
@@ -266,6 +271,10 @@ class TwinBeside:
         if (found := self._trial.finding) is None:
             self._detector.pause()
             self._end_trial()
+        elif self._rough and found.name != self._once:
+            self._once = found.name
+            self._begin_trial()
+            return None
         return found
 
     def _try(self, innovation: Innovation) -> None:
@@ -277,10 +286,15 @@ class TwinBeside:
         whole = [f"{kind} {part}" for kind in ("stuck", "blocked")]
         cannot = {each.name for each, no in zip(self.deviations, innovation.refuted) if no}
         names += [each for each in whole if each in self._by_name and each not in names]
-        changes = [self._by_name[each] for each in names if each not in cannot]
-        if changes:
-            self._trial = Trial(changes, self._detector.learned)
-            self.shadow.try_out(self.shadow.known + self._trial.rows)
+        self._suspects = [self._by_name[each] for each in names if each not in cannot]
+        self._once = ""
+        if self._suspects:
+            self._begin_trial()
+
+    def _begin_trial(self) -> None:
+        """Try out what is suspected, from where the twin is."""
+        self._trial = Trial(self._suspects, self._detector.learned)
+        self.shadow.try_out(self.shadow.known + self._trial.rows)
 
     def _end_trial(self) -> None:
         if self._trial is not None:
