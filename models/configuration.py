@@ -263,7 +263,7 @@ class RobotPlacement:
 
 
 def check_robots(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
-    """Refuse robots of one name, robots off the field, and a pattern that the field has not.
+    """Refuse robots of one name or off the field, and what of them the field has not or overrides.
 
     Args:
         field: The field.
@@ -290,6 +290,12 @@ def check_robots(field: FieldConfig, robots: Sequence[RobotPlacement]) -> None:
             raise ValueError(
                 f"robot {robot.name!r} is patterned as blocks are: expected a field with blocks or "
                 "screens"
+            )
+        told = field.friction is not None or field.friction_patches is not None
+        if told and robot.made is not None and robot.made.change.worn_wheel:
+            raise ValueError(
+                f"robot {robot.name!r} has a worn tyre, of which nothing shows where the field "
+                "says the friction of all tyres: expected one without friction and friction_patches"
             )
 
 

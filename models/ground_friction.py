@@ -81,7 +81,7 @@ def keep_friction(scene: mujoco.MjSpec, friction: FrictionMap) -> None:
 
 
 class TyreFriction:
-    """Tyres of a scene that have the friction of the ground below them.
+    """Tyres of a scene that have the friction of the ground below them, or a share if they wear.
 
     Args:
         model: Compiled scene, whose friction of the tyres is changed.
@@ -93,6 +93,7 @@ class TyreFriction:
         self._tyres = np.array(
             [i for i in range(model.ngeom) if model.geom(i).name.endswith(TYRE)], dtype=np.intp
         )
+        #: Share of the ground's friction that each tyre has.
         self._left: FloatArray = np.ones(len(self._tyres))
         self._friction = model.geom_friction
 

@@ -363,12 +363,15 @@ class Simulation:
             self._tyres.update(self.data)
 
     def wear(self, robot: str, wheel: str, lost: float) -> float:
-        """Let a tyre lose a share of its friction, on any ground; returns what that was.
+        """Let a tyre lose a share of its friction, here and on any ground that it gets to.
 
         Args:
             robot: Name of the robot.
             wheel: Name of the wheel.
             lost: Share of the friction that it has.
+
+        Returns:
+            Its Coulomb coefficient before, on the ground where it is.
         """
         tyre = f"{robot}/{wheel}{TYRE}"
         before = float(self.model.geom(tyre).friction[0])

@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 
 from models.as_made import AsMade, Change, alter_arm
-from models.compose import ARM_JOINTS, LABORATORY, WHEELS, RobotPlacement, load_part, make_model
+from models.compose import (
+    ARM_JOINTS,
+    LABORATORY,
+    WHEELS,
+    FieldConfig,
+    RobotPlacement,
+    build_scene,
+    load_part,
+    make_model,
+)
 from models.datasheets import ARM_MOTOR, EXACT, HARSH_TOLERANCES, ROVER, TOLERANCES
 from tests.models.scenes import PLAIN, Scene, make_scene, settle, warnings
 
@@ -301,6 +310,13 @@ def test_softer_springs_on_the_left_leave_those_on_the_right():
 def test_change_that_cannot_be_is_refused(fields, words):
     with pytest.raises(ValueError, match=words):
         Change(**fields)
+
+
+@pytest.mark.parametrize("friction", [{"friction": 0.6}, {"friction_patches": (0.3, 0.8)}])
+def test_a_worn_tyre_on_a_field_that_says_its_friction_is_refused(friction):
+    made = AsMade(1, change=Change(worn_wheel="rear_left", grip=0.5))
+    with pytest.raises(ValueError, match="'rover1' has a worn tyre"):
+        build_scene(FieldConfig(**friction), [RobotPlacement(made=made)])
 
 
 def test_wheel_that_no_rover_has_is_refused():
